@@ -1,0 +1,1 @@
+"""Results against truth, in the figures that the field knows."""

@@ -1,0 +1,1 @@
+"""Files to scene-linear arrays and back: EXR, stills, sequences, colour, plates, previews."""

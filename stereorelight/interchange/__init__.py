@@ -1,0 +1,1 @@
+"""Rigs, cameras and lights in and out of files and other packages."""

@@ -1,0 +1,1 @@
+"""Lights, and the layers that they add to a plate."""

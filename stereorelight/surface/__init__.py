@@ -1,0 +1,1 @@
+"""Depth to position and normals on the original plate."""

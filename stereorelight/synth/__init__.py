@@ -1,0 +1,1 @@
+"""Scenes with exact answers, rendered as stereo plates."""
