@@ -94,8 +94,10 @@ class Camera:
         bad = ~np.isfinite(lens.undistort(self._normalised(border), self.model, self.distortion)).all(axis=-1)
         if bad.any():
             u, v = border[np.argmax(bad)]
-            raise RigError(f"lens distortion {list(self.distortion)} folds over inside the frame, at pixel ({u:.0f}, {v:.0f}); "
-                           "calibrate with a simpler lens model or with views that reach the corners")
+            raise RigError(
+                f"lens distortion {list(self.distortion)} folds over inside the frame, at pixel ({u:.0f}, {v:.0f}); "
+                "calibrate with a simpler lens model or with views that reach the corners"
+            )
 
     @classmethod
     def from_fov(cls, fov_deg: float, size: tuple[int, int], *, pixel_aspect: float = 1.0) -> Camera:

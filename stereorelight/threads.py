@@ -23,5 +23,3 @@ def set_threads(count: int | None = None) -> int:
     cv2.setNumThreads(count)
     numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
     return count
-
-
