@@ -1,0 +1,99 @@
+"""`rig.json`: the two calibrated eyes as a file, read and written.
+
+Format in docs/conventions.md.  Everything that no rig can be is refused with the file, the key and the remedy."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stereorelight.camera import Camera, Rig
+from stereorelight.errors import RigError, nearest_hint
+from stereorelight.files import write_text
+
+VERSION = 1
+RIG_KEYS = ("version", "left", "right", "R_right_left", "t_right_left_m", "mirrored", "quality")
+CAMERA_KEYS = ("size", "K", "model", "distortion")
+
+
+def _checked_keys(table: Any, known: tuple[str, ...], required: tuple[str, ...], where: str) -> Mapping[str, Any]:
+    if not isinstance(table, dict):
+        raise RigError(f"{where} must be a table of keys, got {type(table).__name__}")
+    for key in table:
+        if key not in known:
+            raise RigError(f"{where}: unknown key {key!r}{nearest_hint(str(key), known)}")
+    for key in required:
+        if key not in table:
+            raise RigError(f"{where}: key {key!r} is missing; it needs {', '.join(required)}")
+    return table
+
+
+def _camera_from_dict(table: Any, where: str) -> Camera:
+    t = _checked_keys(table, CAMERA_KEYS, ("size", "K"), where)
+    try:
+        return Camera(size=t["size"], K=t["K"], model=t.get("model", "brown"), distortion=t.get("distortion", ()))
+    except RigError as error:
+        raise RigError(f"{where}: {error}") from None
+
+
+def camera_to_dict(camera: Camera) -> dict[str, Any]:
+    """Size, K, model and distortion of `camera` as plain lists (its pose travels elsewhere)."""
+    return {"size": list(camera.size), "K": camera.K.tolist(), "model": camera.model, "distortion": list(camera.distortion)}
+
+
+def rig_from_dict(table: Any) -> Rig:
+    """A `Rig` from the tables of a rig.json.  Raises RigError."""
+    t = _checked_keys(table, RIG_KEYS, ("left", "right", "R_right_left", "t_right_left_m"), "rig")
+    version = t.get("version", VERSION)
+    if version != VERSION:
+        raise RigError(f"rig version must be {VERSION}, got {version!r}; was it written by a newer stereorelight?")
+    quality = t.get("quality") or {}
+    if not isinstance(quality, dict):
+        raise RigError(f"quality must be a table of keys, got {type(quality).__name__}")
+    return Rig(
+        left=_camera_from_dict(t["left"], "left"),
+        right=_camera_from_dict(t["right"], "right"),
+        R_right_left=t["R_right_left"],
+        t_right_left_m=t["t_right_left_m"],
+        mirrored=t.get("mirrored"),
+        quality=quality,
+    )
+
+
+def rig_to_dict(rig: Rig) -> dict[str, Any]:
+    """The tables of a rig.json; `rig_from_dict` gives the same rig back bit for bit."""
+    return {
+        "version": VERSION,
+        "left": camera_to_dict(rig.left),
+        "right": camera_to_dict(rig.right),
+        "R_right_left": rig.R_right_left.tolist(),
+        "t_right_left_m": rig.t_right_left_m.tolist(),
+        "mirrored": rig.mirrored,
+        "quality": rig.quality,
+    }
+
+
+def read_rig(path: str | Path) -> Rig:
+    """The rig in file `path`.  Raises RigError naming the file."""
+    path = Path(path)
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise RigError(f"{path}: rig file missing; write one with `stereorelight calibrate`, or give --rig") from None
+    except OSError as error:
+        raise RigError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from None
+    except json.JSONDecodeError as error:
+        raise RigError(f"{path}: not valid JSON at line {error.lineno}, column {error.colno}: {error.msg}") from None
+    except UnicodeDecodeError:
+        raise RigError(f"{path}: not a text file; a rig file is JSON") from None
+    try:
+        return rig_from_dict(table)
+    except RigError as error:
+        raise RigError(f"{path}: {error}") from None
+
+
+def write_rig(path: str | Path, rig: Rig, *, force: bool = False) -> Path:
+    """Write `rig` as JSON, whole or not at all.  Raises OutputError."""
+    return write_text(path, json.dumps(rig_to_dict(rig), indent=2) + "\n", force=force)

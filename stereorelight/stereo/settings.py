@@ -1,0 +1,39 @@
+"""The dials of depth recovery: one trade-off, the range, and the rest under `advanced` names."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from stereorelight.errors import ShotError, nearest_hint
+
+QUALITIES = ("draft", "standard", "fine")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthSettings:
+    """How depth is recovered.
+
+    quality            : draft, standard or fine.
+    near_m, far_m      : nearest and farthest distance to search; None finds them from the pictures.
+    consistency_px     : left-right difference above which a match is not believed.
+    fill               : give every pixel a value, flagged FILLED where it is a guess.
+    """
+
+    quality: str = "standard"
+    near_m: float | None = None
+    far_m: float | None = None
+    consistency_px: float = 1.0
+    fill: bool = True
+
+    def __post_init__(self) -> None:
+        if self.quality not in QUALITIES:
+            raise ShotError(f"depth quality {self.quality!r} is unknown{nearest_hint(str(self.quality), QUALITIES)}")
+        for name in ("near_m", "far_m"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ShotError(f"depth {name} must be > 0 metres, got {value!r}")
+        if self.near_m is not None and self.far_m is not None and self.near_m >= self.far_m:
+            raise ShotError(f"depth near_m must be less than far_m, got {self.near_m:g} and {self.far_m:g}")
+        if not self.consistency_px > 0:
+            raise ShotError(f"depth consistency_px must be > 0, got {self.consistency_px!r}")
