@@ -1,0 +1,153 @@
+"""Normals against truth: angles between unit vectors, and between the normals of two disparities.
+
+In: N (H, W, 3) unit float, or disparities (H, W), NaN where unknown.  Out: frozen figures, degrees."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stereorelight.arrays import Bool, Float64, as_float32
+from stereorelight.camera import RectifiedRig
+from stereorelight.errors import PassError
+
+UNDER_DEG = (11.25, 22.5, 30.0)
+WINDOW_PX = 5
+JUMP_PX = 1.0  # largest range of true disparity inside a window that is still one surface
+
+
+@dataclass(frozen=True, kw_only=True)
+class NormalFigures:
+    """Angles between normals and true normals, degrees.
+
+    pixels           : how many pixels have a known true normal (and lie in the mask).
+    cover_percent    : share of those that have an answer.
+    mean_deg, median_deg : over answered pixels; NaN where there is none.
+    under_percent    : angle to share of all those pixels that are nearer; without an answer counts as not.
+    """
+
+    pixels: int
+    cover_percent: float
+    mean_deg: float
+    median_deg: float
+    under_percent: Mapping[float, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers for JSON, None where there is none."""
+        out: dict[str, Any] = {
+            "pixels": self.pixels,
+            "cover_percent": self.cover_percent,
+            "mean_deg": self.mean_deg,
+            "median_deg": self.median_deg,
+            **{f"under{limit:g}_percent": share for limit, share in self.under_percent.items()},
+        }
+        return {key: (None if isinstance(value, float) and not np.isfinite(value) else value) for key, value in out.items()}
+
+    def text(self) -> str:
+        """One calm line."""
+        if not self.pixels:
+            return "normals: no pixel to compare"
+        under = ", ".join(f"{share:.1f} % under {limit:g}" for limit, share in self.under_percent.items())
+        return f"normals: median {self.median_deg:.2f} deg, mean {self.mean_deg:.2f}; {under}; cover {self.cover_percent:.1f} % of {self.pixels}"
+
+
+def angle_deg(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> Float64:
+    """(...) angle between vectors (..., 3) of any length, degrees; exact for small angles, where arccos is not."""
+    p, q = a.astype(np.float64), b.astype(np.float64)
+    angle: Float64 = np.degrees(np.arctan2(np.linalg.norm(np.cross(p, q), axis=-1), (p * q).sum(axis=-1)))
+    return angle
+
+
+def _figures(angle: Float64, known: Bool) -> NormalFigures:
+    e = angle[known]
+    answered = e[np.isfinite(e)]
+    n = e.size
+    return NormalFigures(
+        pixels=n,
+        cover_percent=100 * answered.size / n if n else float("nan"),
+        mean_deg=float(answered.mean()) if answered.size else float("nan"),
+        median_deg=float(np.median(answered)) if answered.size else float("nan"),
+        under_percent={limit: 100 * float((answered < limit).sum()) / n if n else float("nan") for limit in UNDER_DEG},
+    )
+
+
+def normal_figures(N: npt.ArrayLike, N_true: npt.ArrayLike, *, mask: npt.ArrayLike | None = None) -> NormalFigures:
+    """Angles between N and the truth.
+
+    N, N_true : (H, W, 3) float, unit, one frame, NaN where unknown.
+    mask      : (H, W) bool, where to look; everywhere when None.
+    Raises    : PassError for sizes that differ, and where nothing overlaps.
+    """
+    truth = as_float32(N_true, "true N", channels=3)
+    size_hw = (truth.shape[0], truth.shape[1])
+    result = as_float32(N, "N to judge", channels=3, size_hw=size_hw)
+    known: Bool = np.asarray(np.isfinite(truth).all(axis=-1), dtype=bool)
+    if mask is not None:
+        where = np.asarray(mask)
+        if where.dtype != np.bool_ or where.shape != size_hw:
+            raise PassError(f"mask must be bool of shape {size_hw}, got {where.dtype} {where.shape}")
+        known &= where
+    angle = angle_deg(result, truth)
+    if not (known & np.isfinite(angle)).any():
+        raise PassError("N and its truth have no known pixel in common; do they belong to the same frame and eye?")
+    return _figures(angle, known)
+
+
+def _box(values: Float64, weights: Float64) -> Float64:
+    """Sum over rows and then columns of a window with the given (k, 2) weights: [:, 0] down, [:, 1] across; edges are NaN."""
+    r = len(weights) // 2
+    h, w = values.shape
+    padded = np.pad(values, r, constant_values=np.nan)
+    down = np.zeros((h, w + 2 * r))
+    out = np.zeros((h, w))
+    for k, (weight, _) in enumerate(weights):
+        down += weight * padded[k : k + h]
+    for k, (_, weight) in enumerate(weights):
+        out += weight * down[:, k : k + w]
+    return out
+
+
+def disparity_normals(disparity: npt.ArrayLike, rig: RectifiedRig, *, window_px: int = WINDOW_PX) -> Float64:
+    """(H, W, 3) unit normals, camera frame, pointing away from the camera, of the least-squares plane d = a u + b v + c in each window.
+
+    N ~ (a fx, b fy, q - a (u - cx) - b (v - cy)) with q = d + cx_right - cx_left: q is inverse depth times fx b, and a plane in
+    space is a plane in it.  NaN where the window is not fully known or leaves the frame.
+    """
+    d = as_float32(disparity, "disparity", size_hw=rig.left.size_hw).astype(np.float64)
+    if window_px < 3 or window_px % 2 == 0:
+        raise PassError(f"window_px must be odd and at least 3, got {window_px}")
+    step = np.arange(window_px) - window_px // 2
+    flat = np.full(window_px, 1 / window_px)
+    slope = step / (step**2).sum()
+    a = _box(d, np.stack([flat, slope], axis=-1))
+    b = _box(d, np.stack([slope, flat], axis=-1))
+    q = _box(d, np.stack([flat, flat], axis=-1)) + rig.doffs_px
+    u, v = np.arange(d.shape[1]) - rig.left.cx, (np.arange(d.shape[0]) - rig.left.cy)[:, None]
+    normal = np.stack([a * rig.left.fx, b * rig.left.fy, q - a * u - b * v], axis=-1)
+    with np.errstate(invalid="ignore"):
+        unit: Float64 = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    return unit
+
+
+def disparity_normal_figures(
+    result: npt.ArrayLike, truth: npt.ArrayLike, rig: RectifiedRig, *, window_px: int = WINDOW_PX, jump_px: float = JUMP_PX
+) -> NormalFigures:
+    """Angles between the normals of a disparity and of the true one, each from its own plane fit (`disparity_normals`).
+
+    Counted are pixels whose truth window is fully known and ranges over at most `jump_px` of disparity: away from depth jumps.
+    There the result needs a fully known window too, or the pixel has no answer.  All zeros where no such pixel exists.
+    """
+    true_normals = disparity_normals(truth, rig, window_px=window_px)
+    normals = disparity_normals(result, rig, window_px=window_px)
+    t = np.asarray(truth, dtype=np.float64)
+    r = window_px // 2
+    known = np.zeros(t.shape, dtype=bool)
+    if min(t.shape) >= window_px:
+        windows = np.lib.stride_tricks.sliding_window_view(t, (window_px, window_px))
+        with np.errstate(invalid="ignore"):
+            known[r:-r, r:-r] = windows.max(axis=(2, 3)) - windows.min(axis=(2, 3)) <= jump_px
+    return _figures(angle_deg(normals, true_normals), known & np.isfinite(true_normals).all(axis=-1))
