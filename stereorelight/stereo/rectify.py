@@ -115,7 +115,7 @@ def rectification(rig: Rig) -> Rectification:
     if _already_rectified(rig):
         return Rectification(original=rig, rig=RectifiedRig(left=rig.left, right=rig.right, baseline_m=rig.baseline_m), identity=True)
     none = np.zeros(5)
-    R_left, R_right = cv2.stereoRectify(rig.left.K, none, rig.right.K, none, rig.left.size, rig.R_right_left, rig.t_right_left_m)[:2]
+    R_left, R_right = cv2.stereoRectify(rig.left.K, none, rig.right.K, none, rig.left.size, rig.R_right_left, rig.t_right_left_m[:, None])[:2]
     angle = np.degrees(np.arccos(np.clip((np.trace(rig.R_right_left) - 1) / 2, -1, 1)))
     if angle > 45:
         raise RigError(f"the eyes are turned {angle:.0f} degrees against each other; one picture plane cannot hold both: check R_right_left")
