@@ -1,0 +1,358 @@
+"""Ray casting of small analytic scenes: first hits, surface normals and albedo, in float64.
+
+In: rays (n, 3) in world coordinates and a scene as four tables of numbers (columns below).  Out: the ray parameter `t`
+of the first hit (point = origin + t direction), the object hit, and the surface there.
+Frames: world is right-handed, y up, metres; an object has its own frame, `p_object = R (p_world - origin)`.
+Planes, spheres and boxes are intersected in closed form.  Solids are the zero set of a field made of smooth unions and
+cuts: sphere tracing brackets the first sign change and the Illinois rule closes it to 1e-12 m, so the hit does not
+depend on the step length.  Every ray stands alone: the result is the same bits whatever the number of threads."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+# Object row: kind, material, first primitive, primitive count, R (9), origin (3), parameters (4), wrinkles (amplitude, frequency xyz).
+PLANE, SPHERE, BOX, SOLID = 0, 1, 2, 3
+OBJECT_COLUMNS = 24
+# Primitive row: shape, operation, blend width, centre (3), R (9), parameters (4), reach, stretch (two bounds used to skip it).
+ELLIPSOID, ROUND_CONE, TORUS = 0, 1, 2
+UNION, CUT = 0, 1
+PRIMITIVE_COLUMNS = 21
+# Material row: pattern, colour (3), second colour (3), contrast, frequency, octaves, gain, specular, exponent, stretch (3).
+MATTE, SKIN, HAIR, CLOTH, WOOD, EYE, PAPER = 0, 1, 2, 3, 4, 5, 6
+MATERIAL_COLUMNS = 16
+
+CAUTION = 0.85  # share of the field's value that one step may take; blended ellipsoids overstate distance a little
+SMALLEST_STEP_M = 2e-5
+GRADIENT_STEP_M = 2e-5  # central differences: error of order step^2, below 1e-6 of a degree on these shapes
+MOST_STEPS = 3000
+
+
+@njit(cache=True, nogil=True)
+def _lattice(x, y, z, seed):
+    """Hash of a lattice point to 64 bits (the finaliser of SplitMix64)."""
+    h = np.uint64(x * 73856093) ^ np.uint64(y * 19349663) ^ np.uint64(z * 83492791) ^ np.uint64(seed * 2654435761)
+    h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return h ^ (h >> np.uint64(31))
+
+
+@njit(cache=True, nogil=True)
+def _slope(h, x, y, z):
+    """Dot product of (x, y, z) with one of Perlin's twelve directions."""
+    k = int(h & np.uint64(15))
+    u = x if k < 8 else y
+    v = y if k < 4 else (x if k == 12 or k == 14 else z)
+    return (-u if k & 1 else u) + (-v if k & 2 else v)
+
+
+@njit(cache=True, nogil=True)
+def noise(x, y, z, seed):
+    """Gradient noise (Perlin 2002), about -1..1, twice differentiable."""
+    fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
+    i, j, k = int(fx), int(fy), int(fz)
+    x, y, z = x - fx, y - fy, z - fz
+    u = x * x * x * (x * (x * 6 - 15) + 10)
+    v = y * y * y * (y * (y * 6 - 15) + 10)
+    w = z * z * z * (z * (z * 6 - 15) + 10)
+    a = _slope(_lattice(i, j, k, seed), x, y, z)
+    b = _slope(_lattice(i + 1, j, k, seed), x - 1, y, z)
+    c = _slope(_lattice(i, j + 1, k, seed), x, y - 1, z)
+    d = _slope(_lattice(i + 1, j + 1, k, seed), x - 1, y - 1, z)
+    low = a + u * (b - a) + v * ((c + u * (d - c)) - (a + u * (b - a)))
+    a = _slope(_lattice(i, j, k + 1, seed), x, y, z - 1)
+    b = _slope(_lattice(i + 1, j, k + 1, seed), x - 1, y, z - 1)
+    c = _slope(_lattice(i, j + 1, k + 1, seed), x, y - 1, z - 1)
+    d = _slope(_lattice(i + 1, j + 1, k + 1, seed), x - 1, y - 1, z - 1)
+    high = a + u * (b - a) + v * ((c + u * (d - c)) - (a + u * (b - a)))
+    return low + w * (high - low)
+
+
+@njit(cache=True, nogil=True)
+def octaves(x, y, z, count, gain, seed):
+    """Sum of `count` octaves of noise; each next one twice as fine and `gain` times as strong."""
+    total, strength = 0.0, 1.0
+    for n in range(count):
+        total += strength * noise(x, y, z, seed + n)
+        x, y, z, strength = 2.03 * x + 17.1, 2.03 * y + 5.3, 2.03 * z + 11.7, strength * gain
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _shape(p, row, x, y, z):
+    """Field of one primitive at a point of the object's frame: about the distance, exact in sign."""
+    dx, dy, dz = x - p[row, 3], y - p[row, 4], z - p[row, 5]
+    lx = p[row, 6] * dx + p[row, 7] * dy + p[row, 8] * dz
+    ly = p[row, 9] * dx + p[row, 10] * dy + p[row, 11] * dz
+    lz = p[row, 12] * dx + p[row, 13] * dy + p[row, 14] * dz
+    shape = int(p[row, 0])
+    if shape == ELLIPSOID:
+        ax, ay, az = lx / p[row, 15], ly / p[row, 16], lz / p[row, 17]
+        k0 = math.sqrt(ax * ax + ay * ay + az * az)
+        bx, by, bz = ax / p[row, 15], ay / p[row, 16], az / p[row, 17]
+        k1 = math.sqrt(bx * bx + by * by + bz * bz)
+        return k0 * (k0 - 1.0) / k1 if k1 > 0.0 else -min(p[row, 15], p[row, 16], p[row, 17])
+    if shape == ROUND_CONE:  # two balls, at the origin and at y = length, and their tangent cone
+        r1, r2, length = p[row, 15], p[row, 16], p[row, 17]
+        b = (r1 - r2) / length
+        a = math.sqrt(1.0 - b * b)
+        q = math.sqrt(lx * lx + lz * lz)
+        k = -b * q + a * ly
+        if k < 0.0:
+            return math.sqrt(q * q + ly * ly) - r1
+        if k > a * length:
+            return math.sqrt(q * q + (ly - length) * (ly - length)) - r2
+        return q * a + ly * b - r1
+    q = math.sqrt(lx * lx + lz * lz) - p[row, 15]
+    return math.sqrt(q * q + ly * ly) - p[row, 16]
+
+
+@njit(cache=True, nogil=True)
+def _blend(a, b, width):
+    """Smooth minimum, cubic: twice differentiable, and exactly min(a, b) where they differ by more than `width`."""
+    if width <= 0.0:
+        return min(a, b)
+    h = max(width - abs(a - b), 0.0) / width
+    return min(a, b) - h * h * h * width / 6.0
+
+
+@njit(cache=True, nogil=True)
+def field(objects, n, primitives, x, y, z):
+    """Field of solid `n` at a point of its frame: negative inside, about the distance outside."""
+    first, count = int(objects[n, 2]), int(objects[n, 3])
+    d = 1e9
+    for row in range(first, first + count):
+        width = primitives[row, 2]
+        dx, dy, dz = x - primitives[row, 3], y - primitives[row, 4], z - primitives[row, 5]
+        away2 = dx * dx + dy * dy + dz * dz
+        # Beyond this distance the primitive cannot change d by one bit, so leaving it out is exact.
+        if primitives[row, 1] == UNION:
+            far = primitives[row, 19] + primitives[row, 20] * max(d + width, 0.0)
+            if away2 < far * far:
+                d = _blend(d, _shape(primitives, row, x, y, z), width)
+        else:
+            far = primitives[row, 19] + primitives[row, 20] * max(width - d, 0.0)
+            if d < width + primitives[row, 19] and away2 < far * far:
+                d = -_blend(-d, _shape(primitives, row, x, y, z), width)
+    wrinkle = objects[n, 20]
+    if wrinkle > 0.0:
+        if d > 4.0 * wrinkle:
+            return d - 2.0 * wrinkle
+        d -= wrinkle * octaves(x * objects[n, 21], y * objects[n, 22], z * objects[n, 23], 2, 0.45, 900)
+    return d
+
+
+@njit(cache=True, nogil=True)
+def _trace_solid(objects, n, primitives, ox, oy, oz, dx, dy, dz, limit):
+    """t of the first hit on solid `n` before `limit`, or `limit`; ray in the solid's frame."""
+    speed2 = dx * dx + dy * dy + dz * dz
+    cx, cy, cz = ox - objects[n, 17], oy - objects[n, 18], oz - objects[n, 19]
+    half = (cx * dx + cy * dy + cz * dz) / speed2
+    inside = half * half - (cx * cx + cy * cy + cz * cz - objects[n, 16] * objects[n, 16]) / speed2
+    if inside <= 0.0:
+        return limit
+    t = max(-half - math.sqrt(inside), 0.0)
+    end = min(-half + math.sqrt(inside), limit)
+    speed = math.sqrt(speed2)
+    before, f_before = t, field(objects, n, primitives, ox + t * dx, oy + t * dy, oz + t * dz)
+    if f_before <= 0.0:
+        return limit  # the ray starts inside: no outer surface lies ahead of it
+    f = f_before
+    for _ in range(MOST_STEPS):
+        if t >= end:
+            return limit
+        before, f_before = t, f
+        t = min(t + max(CAUTION * f, SMALLEST_STEP_M) / speed, end)
+        f = field(objects, n, primitives, ox + t * dx, oy + t * dy, oz + t * dz)
+        if f <= 0.0:
+            break
+    if f > 0.0:
+        return limit
+    low, high, f_low, f_high, side = before, t, f_before, f, 0
+    for _ in range(60):
+        if (high - low) * speed < 1e-12 or f_high == 0.0:
+            break
+        m = (f_low * high - f_high * low) / (f_low - f_high)
+        f_m = field(objects, n, primitives, ox + m * dx, oy + m * dy, oz + m * dz)
+        if abs(f_m) < 1e-14:
+            return m
+        if f_m < 0.0:
+            high, f_high = m, f_m
+            if side == 1:
+                f_low *= 0.5
+            side = 1
+        else:
+            low, f_low = m, f_m
+            if side == -1:
+                f_high *= 0.5
+            side = -1
+    return high
+
+
+@njit(cache=True, nogil=True)
+def _hit(objects, n, primitives, origin, direction, limit):
+    """t of the first hit of one ray on object `n` before `limit`, or `limit`."""
+    o = objects[n]
+    wx, wy, wz = origin[0] - o[13], origin[1] - o[14], origin[2] - o[15]
+    ox = o[4] * wx + o[5] * wy + o[6] * wz
+    oy = o[7] * wx + o[8] * wy + o[9] * wz
+    oz = o[10] * wx + o[11] * wy + o[12] * wz
+    dx = o[4] * direction[0] + o[5] * direction[1] + o[6] * direction[2]
+    dy = o[7] * direction[0] + o[8] * direction[1] + o[9] * direction[2]
+    dz = o[10] * direction[0] + o[11] * direction[1] + o[12] * direction[2]
+    kind = int(o[0])
+    if kind == SOLID:
+        return _trace_solid(objects, n, primitives, ox, oy, oz, dx, dy, dz, limit)
+    t = limit
+    if kind == PLANE:  # z = 0 of its frame, seen only from z > 0
+        if dz < 0.0 < oz:
+            s = -oz / dz
+            if s < limit and abs(ox + s * dx) <= o[16] and abs(oy + s * dy) <= o[17]:
+                t = s
+    elif kind == SPHERE:
+        a = dx * dx + dy * dy + dz * dz
+        b = ox * dx + oy * dy + oz * dz
+        # |offset from the closest point|^2 by a cross product: keeps its digits far from the sphere.
+        ex, ey, ez = oy * dz - oz * dy, oz * dx - ox * dz, ox * dy - oy * dx
+        q = o[16] * o[16] * a - (ex * ex + ey * ey + ez * ez)
+        if q > 0.0:
+            s = (-b - math.sqrt(q)) / a
+            if 0.0 < s < limit:
+                t = s
+    else:
+        near, far = -1e30, 1e30
+        for axis in range(3):
+            p = ox if axis == 0 else (oy if axis == 1 else oz)
+            d = dx if axis == 0 else (dy if axis == 1 else dz)
+            h = o[16 + axis]
+            if d == 0.0:
+                if abs(p) > h:
+                    return limit
+            else:
+                s1, s2 = (-h - p) / d, (h - p) / d
+                near, far = max(near, min(s1, s2)), min(far, max(s1, s2))
+        if near < far and 0.0 < near < limit:
+            t = near
+    return t
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def first_hits(objects, primitives, origins, directions, limits, any_hit):
+    """First hit of each ray: (t (n,) float64, NaN for none; object (n,) int64, -1 for none).
+
+    origins   : (n, 3), or (1, 3) where all rays start at one point.
+    limits    : (n,) or (1,) t beyond which nothing counts; a limit of 0 or NaN skips the ray.
+    any_hit   : stop at the first object found: enough where only "blocked or not" is asked.
+    """
+    count = directions.shape[0]
+    t = np.full(count, np.nan)
+    hit = np.full(count, -1, np.int64)
+    block = 256
+    for b in prange((count + block - 1) // block):
+        for i in range(b * block, min((b + 1) * block, count)):
+            best = limits[i if limits.shape[0] > 1 else 0]
+            if not best > 0.0 or not math.isfinite(directions[i, 0]):
+                continue
+            origin = origins[i if origins.shape[0] > 1 else 0]
+            for n in range(objects.shape[0]):
+                s = _hit(objects, n, primitives, origin, directions[i], best)
+                if s < best:
+                    best = s
+                    t[i] = s
+                    hit[i] = n
+                    if any_hit:
+                        break
+    return t, hit
+
+
+@njit(cache=True, nogil=True)
+def _step(a, b, x):
+    s = min(max((x - a) / (b - a), 0.0), 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
+@njit(cache=True, nogil=True)
+def _albedo(m, x, y, z, out):
+    """Colour of material row `m` at a point of the object's frame."""
+    pattern = int(m[0])
+    f = m[8]
+    grain = octaves(x * f * m[13], y * f * m[14], z * f * m[15], int(m[9]), m[10], 1)
+    mix = 0.0
+    gain = 1.0 + m[7] * grain
+    if pattern == SKIN:  # second colour: lips and a flush on cheeks, nose and ears; brows darken
+        side = abs(x)
+        lips_y = -0.0685 + 0.0035 * math.cos(side * 150.0) * _step(0.016, 0.0, side)
+        lips = _step(1.12, 0.88, math.sqrt((x / 0.0255) ** 2 + ((y - lips_y) / (0.0102 * math.sqrt(max(1.0 - (side / 0.030) ** 2, 0.05)))) ** 2))
+        flush = _step(0.030, 0.0, math.sqrt((side - 0.045) ** 2 + (y + 0.030) ** 2)) + _step(0.020, 0.0, math.sqrt(x * x + (y + 0.036) ** 2))
+        front = _step(0.03, 0.05, z)
+        mix = front * min(0.85 * lips + 0.28 * flush, 1.0)
+        along = (side - 0.012) / 0.040
+        arch = 0.0205 + 0.0075 * math.sin(min(max(along, 0.0), 1.0) * 2.3) - 0.002 * along
+        width = 0.0048 * (1.0 - 0.55 * min(max(along, 0.0), 1.0))
+        brow = front * _step(1.5, 0.5, abs(y - arch) / width) * _step(-0.10, 0.10, along) * _step(1.12, 0.90, along)
+        gain *= 1.0 - brow * (0.72 + 0.20 * noise(x * 700.0, y * 260.0, z * 260.0, 40))
+    elif pattern == CLOTH:  # two threads, and broad stripes of the second colour
+        weave = math.sin(x * 900.0) * math.sin(y * 900.0)
+        mix = _step(0.55, 0.75, math.sin(y * 95.0 + 1.5 * noise(x * 6.0, y * 6.0, z * 6.0, 60)))
+        gain *= 1.0 + 0.25 * m[7] * weave
+    elif pattern == WOOD:
+        rings = math.sin(60.0 * (y + 0.25 * noise(x * 1.5, y * 6.0, z * 6.0, 70)) + 4.0 * noise(x * 3.0, y * 9.0, z * 9.0, 71))
+        mix = 0.5 + 0.5 * rings
+    elif pattern == PAPER:  # wall: a faint repeated motif over plaster
+        u, v = x * 5.0, y * 5.0
+        motif = math.sin(math.pi * (u + v)) * math.sin(math.pi * (u - v))
+        mix = _step(0.25, 0.55, motif)
+    elif pattern == EYE:  # iris and pupil about the object's +z
+        angle = math.atan2(math.sqrt(x * x + y * y), z)
+        ray = noise(math.atan2(y, x) * 8.0, angle * 6.0, 0.0, 80)
+        mix = _step(0.47, 0.43, angle) * (1.0 + 0.25 * ray) - (0.55 * _step(0.38, 0.45, angle) * _step(0.50, 0.44, angle))
+        gain *= 1.0 - 0.97 * _step(0.20, 0.17, angle)
+        mix = min(max(mix, 0.0), 1.0)
+    for c in range(3):
+        out[c] = min(max((m[1 + c] + mix * (m[4 + c] - m[1 + c])) * gain, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def surface_at(objects, primitives, materials, points, hit):
+    """(normal (n, 3), albedo (n, 3), specular (n, 2): strength and exponent) at world points on objects `hit`; NaN for -1."""
+    count = points.shape[0]
+    normals = np.full((count, 3), np.nan)
+    albedo = np.full((count, 3), np.nan)
+    specular = np.full((count, 2), np.nan)
+    h = GRADIENT_STEP_M
+    block = 256
+    for b in prange((count + block - 1) // block):
+        for i in range(b * block, min((b + 1) * block, count)):
+            n = hit[i]
+            if n < 0:
+                continue
+            o = objects[n]
+            wx, wy, wz = points[i, 0] - o[13], points[i, 1] - o[14], points[i, 2] - o[15]
+            x = o[4] * wx + o[5] * wy + o[6] * wz
+            y = o[7] * wx + o[8] * wy + o[9] * wz
+            z = o[10] * wx + o[11] * wy + o[12] * wz
+            gx, gy, gz = x, y, z  # a sphere's own
+            kind = int(o[0])
+            if kind == PLANE:
+                gx, gy, gz = 0.0, 0.0, 1.0
+            elif kind == BOX:
+                ax, ay, az = o[16] - abs(x), o[17] - abs(y), o[18] - abs(z)
+                gx = math.copysign(1.0, x) if ax <= ay and ax <= az else 0.0
+                gy = math.copysign(1.0, y) if gx == 0.0 and ay <= az else 0.0
+                gz = math.copysign(1.0, z) if gx == 0.0 and gy == 0.0 else 0.0
+            elif kind == SOLID:
+                gx = field(objects, n, primitives, x + h, y, z) - field(objects, n, primitives, x - h, y, z)
+                gy = field(objects, n, primitives, x, y + h, z) - field(objects, n, primitives, x, y - h, z)
+                gz = field(objects, n, primitives, x, y, z + h) - field(objects, n, primitives, x, y, z - h)
+            length = math.sqrt(gx * gx + gy * gy + gz * gz)
+            gx, gy, gz = gx / length, gy / length, gz / length
+            normals[i, 0] = o[4] * gx + o[7] * gy + o[10] * gz
+            normals[i, 1] = o[5] * gx + o[8] * gy + o[11] * gz
+            normals[i, 2] = o[6] * gx + o[9] * gy + o[12] * gz
+            m = materials[int(o[1])]
+            _albedo(m, x, y, z, albedo[i])
+            specular[i, 0], specular[i, 1] = m[11], m[12]
+    return normals, albedo, specular
