@@ -14,7 +14,10 @@ from stereorelight.errors import OutputError
 
 
 def refuse_overwrite(path: Path, *, force: bool) -> None:
-    """Raise OutputError where `path` exists and `force` is off.  Called before any work is done."""
+    """Raise OutputError where `path` exists and `force` is off, or is no ordinary file.  Called before any work is done."""
+    if path.exists() and not path.is_file():
+        # Renaming onto a device would replace the device itself, /dev/null included.
+        raise OutputError(f"{path}: is a {'folder' if path.is_dir() else 'device'}, not a file; choose another --out")
     if path.exists() and not force:
         raise OutputError(f"{path}: exists already; give --force to replace it, or another --out")
 
