@@ -5,10 +5,10 @@ In: pictures (H, W, C) float32 and maps (h, w, 2) float32 of source pixels (u, v
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from stereorelight.arrays import Float32
-from stereorelight.engine.locks import KERNEL_LOCK
+from stereorelight.arrays import Float32, Int32
+from stereorelight.engine.rows import in_row_blocks
 
 f4 = np.float32
 
@@ -23,11 +23,11 @@ def _cubic(t):
     return a, b, c, d
 
 
-@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def _bicubic(picture, pixels, out):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bicubic(first, end, picture, pixels, out):
     H, W, C = picture.shape
-    h, w = pixels.shape[:2]
-    for y in prange(h):
+    w = pixels.shape[1]
+    for y in range(first, end):
         for x in range(w):
             u, v = pixels[y, x, 0], pixels[y, x, 1]
             # NaN and everything outside the outer pixel edges is unknown.
@@ -51,6 +51,45 @@ def _bicubic(picture, pixels, out):
 def bicubic(picture: Float32, pixels: Float32) -> Float32:
     """`picture` at `pixels` by Catmull-Rom; the border is repeated, and beyond the frame is NaN."""
     out = np.empty((*pixels.shape[:2], picture.shape[2]), np.float32)
-    with KERNEL_LOCK:
-        _bicubic(picture, pixels, out)
+    in_row_blocks(lambda first, end: _bicubic(first, end, picture, pixels, out), pixels.shape[0])
     return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _on_planes(first, end, value, slope_x, slope_y, pixels, apart, out, nearest):
+    H, W = value.shape
+    w = pixels.shape[1]
+    for y in range(first, end):
+        for x in range(w):
+            u, v = pixels[y, x, 0], pixels[y, x, 1]
+            out[y, x], nearest[y, x] = np.nan, -1
+            if not (u >= f4(-0.5) and v >= f4(-0.5) and u < f4(W - 0.5) and v < f4(H - 0.5)):
+                continue
+            xn, yn = int(np.floor(u + f4(0.5))), int(np.floor(v + f4(0.5)))
+            nearest[y, x] = yn * W + xn
+            here = value[yn, xn] + slope_x[yn, xn] * (u - f4(xn)) + slope_y[yn, xn] * (v - f4(yn))
+            if not np.isfinite(here):
+                continue
+            x0, y0 = min(max(int(np.floor(u)), 0), max(W - 2, 0)), min(max(int(np.floor(v)), 0), max(H - 2, 0))
+            total, weight = f4(0), f4(0)
+            for j in range(min(2, H)):
+                for i in range(min(2, W)):
+                    xx, yy = x0 + i, y0 + j
+                    du, dv = u - f4(xx), v - f4(yy)
+                    d = value[yy, xx] + slope_x[yy, xx] * du + slope_y[yy, xx] * dv
+                    k = max(f4(1) - abs(du), f4(0)) * max(f4(1) - abs(dv), f4(0))
+                    if abs(d - here) < apart:  # false for NaN
+                        total += k * d
+                        weight += k
+            out[y, x] = total / weight if weight > f4(0) else here
+
+
+def on_planes(value: Float32, slopes: tuple[Float32, Float32], pixels: Float32, *, apart: float) -> tuple[Float32, Int32]:
+    """A map of local planes, looked up at `pixels` (h, w, 2) without ever mixing two surfaces.
+
+    Each pixel's nearest plane is followed to the real position and averaged with those of the four neighbours that agree
+    to within `apart`.  Returns (h, w) values and (h, w) flat index of the nearest pixel, -1 outside the map.
+    """
+    out, nearest = np.empty(pixels.shape[:2], np.float32), np.empty(pixels.shape[:2], np.int32)
+    in_row_blocks(lambda first, end: _on_planes(first, end, value, *slopes, pixels, f4(apart), out, nearest), pixels.shape[0])
+    return out, nearest

@@ -1,0 +1,88 @@
+"""What one eye sees and the other does not, row by row, from a disparity map.
+
+In: disparity (H, W) float32, x_left - x_right in pixels, finite.  Out: masks and filled disparities of the same size."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from stereorelight.arrays import Bool, Float32
+from stereorelight.engine.rows import in_row_blocks
+
+f4 = np.float32
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _hidden(first, end, disparity, by, out):
+    W = disparity.shape[1]
+    nearest = np.empty(W, np.float32)
+    for y in range(first, end):
+        nearest[:] = -np.inf
+        for x in range(W):
+            d = disparity[y, x]
+            k = int(np.floor(f4(x) - d))
+            for i in (k, k + 1):  # a surface covers both pixels that it falls between
+                if 0 <= i < W and d > nearest[i]:
+                    nearest[i] = d
+        for x in range(W):
+            d = disparity[y, x]
+            k = int(np.floor(f4(x) - d + f4(0.5)))
+            out[y, x] = 0 <= k < W and nearest[k] > d + by
+
+
+def hidden(disparity: Float32, *, by_px: float = 1.0) -> Bool:
+    """(H, W) bool: pixels that land in the right eye where a surface nearer by more than `by_px` lands too."""
+    out = np.empty(disparity.shape, np.bool_)
+    in_row_blocks(lambda first, end: _hidden(first, end, disparity, f4(by_px), out), disparity.shape[0])
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill(first, end, disparity, hole, out):
+    W = disparity.shape[1]
+    before = np.empty(W, np.float32)
+    for y in range(first, end):
+        last = f4(np.inf)
+        for x in range(W):
+            if not hole[y, x]:
+                last = disparity[y, x]
+            before[x] = last
+        last = f4(np.inf)
+        for x in range(W - 1, -1, -1):
+            if not hole[y, x]:
+                last = disparity[y, x]
+                out[y, x] = last
+            else:
+                farther = min(before[x], last)
+                out[y, x] = farther if farther < f4(np.inf) else disparity[y, x]
+
+
+def background_fill(disparity: Float32, hole: Bool) -> Float32:
+    """Each hole takes the farther of the nearest values beside it on its row; a row without any keeps its own.
+
+    Ground that only one eye sees belongs to what lies behind, so it is never a blend of actor and wall.
+    """
+    out = np.empty(disparity.shape, np.float32)
+    in_row_blocks(lambda first, end: _fill(first, end, disparity, hole, out), disparity.shape[0])
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _consistent(first, end, left, right, within, out):
+    W = left.shape[1]
+    for y in range(first, end):
+        for x in range(W):
+            d = left[y, x]
+            out[y, x] = False
+            if d == d:
+                k = int(np.floor(f4(x) - d + f4(0.5)))
+                if 0 <= k < W:
+                    out[y, x] = abs(d - right[y, k]) <= within  # false for NaN
+
+
+def consistent(left_px: Float32, right_px: Float32, *, within_px: float = 1.0) -> Bool:
+    """(H, W) bool: the right eye's disparity, looked up where the left pixel lands, says the same to `within_px`."""
+    out = np.empty(left_px.shape, np.bool_)
+    in_row_blocks(lambda first, end: _consistent(first, end, left_px, right_px, f4(within_px), out), left_px.shape[0])
+    return out

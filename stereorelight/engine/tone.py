@@ -1,0 +1,73 @@
+"""Scene-linear pictures to tone levels and on to 8 bits, one pass each.
+
+In: (H, W, 3) float32 RGB.  Levels are 0..`LEVELS` - 1 as uint16, BGR, by the square root of light."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from stereorelight.arrays import Bool, Float32, UInt8, UInt16
+from stereorelight.engine.rows import in_row_blocks
+
+f4 = np.float32
+LEVELS = 4096  # sixteen to an 8-bit grey level
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _levels(first, end, linear, scale, out, known):
+    W = linear.shape[1]
+    top = f4(LEVELS - 1)
+    for y in range(first, end):
+        for x in range(W):
+            known[y, x] = np.isfinite(linear[y, x, 0] + linear[y, x, 1] + linear[y, x, 2])
+            for c in range(3):
+                v = linear[y, x, c] * scale
+                v = v if v > f4(0) else f4(0)  # false for NaN
+                v = v if v < f4(1) else f4(1)
+                out[y, x, 2 - c] = np.uint16(np.sqrt(v) * top + f4(0.5))
+        # Unknown pixels take the nearest known one of their row, so that a frame's border has no step to match.
+        last = -1
+        for x in range(W):
+            if known[y, x]:
+                last = x
+            elif last >= 0:
+                for c in range(3):
+                    out[y, x, c] = out[y, last, c]
+        last = -1
+        for x in range(W - 1, -1, -1):
+            if known[y, x]:
+                last = x
+                if x == 0 or known[y, x - 1]:
+                    continue
+                left = x - 1
+                while left >= 0 and not known[y, left]:
+                    left -= 1
+                for k in range(left + 1, x):
+                    if left < 0 or x - k < k - left:
+                        for c in range(3):
+                            out[y, k, c] = out[y, x, c]
+
+
+def levels(linear: Float32, *, white: float) -> tuple[UInt16, Bool]:
+    """Tone levels (H, W, 3) BGR of scene-linear RGB, clipped at `white`, and (H, W) where the picture is known."""
+    out, known = np.empty(linear.shape, np.uint16), np.empty(linear.shape[:2], np.bool_)
+    in_row_blocks(lambda first, end: _levels(first, end, linear, f4(1 / white), out, known), linear.shape[0])
+    return out, known
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _through(first, end, level, tables, bgr, grey):
+    W = level.shape[1]
+    for y in range(first, end):
+        for x in range(W):
+            b, g, r = tables[0, level[y, x, 0]], tables[1, level[y, x, 1]], tables[2, level[y, x, 2]]
+            bgr[y, x, 0], bgr[y, x, 1], bgr[y, x, 2] = np.uint8(b + f4(0.5)), np.uint8(g + f4(0.5)), np.uint8(r + f4(0.5))
+            grey[y, x] = f4(0.114) * b + f4(0.587) * g + f4(0.299) * r
+
+
+def through_tables(level: UInt16, tables: Float32) -> tuple[UInt8, Float32]:
+    """8-bit BGR and float grey (0..255) of tone levels; `tables` (3, LEVELS) float32 holds 0..255 for each channel."""
+    bgr, grey = np.empty(level.shape, np.uint8), np.empty(level.shape[:2], np.float32)
+    in_row_blocks(lambda first, end: _through(first, end, level, tables, bgr, grey), level.shape[0])
+    return bgr, grey

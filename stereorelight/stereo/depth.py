@@ -1,0 +1,131 @@
+"""Two plates and a rectification to Z, confidence and reasons on the ORIGINAL plate, lens distortion and all.
+
+In: upright scene-linear plates (H, W, 3).  Out: a `Recovered`: the passes on the original plate of one eye, and the
+disparity on its rectified view.  Z is the distance along the original camera's optical axis, metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereorelight.arrays import Float32
+from stereorelight.camera import Eye
+from stereorelight.engine.occlusion import consistent
+from stereorelight.engine.resample import on_planes
+from stereorelight.errors import PlateError
+from stereorelight.passes import Flag, Frame
+from stereorelight.stereo import confidence as belief
+from stereorelight.stereo.flow import flow_disparity
+from stereorelight.stereo.match import DisparityRange, match, search_range
+from stereorelight.stereo.proxy import Proxy, matching_proxy
+from stereorelight.stereo.rectify import Rectification
+from stereorelight.stereo.refine import Refined, refine
+from stereorelight.stereo.settings import DepthSettings
+
+SMALLEST_DISPARITY_PX = 0.25  # of d + doffs: beyond it, depth is anything up to infinity
+APART_PX = 1.0  # disparities farther apart belong to two surfaces when Z is carried to the plate
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recovered:
+    """What was found: `frame` (Z, confidence, flags on the original plate of the eye), `rectified` (disparity, confidence,
+    flags on that eye's rectified view), the range searched, and the median row error that the flow saw, px."""
+
+    frame: Frame
+    rectified: Frame
+    search: DisparityRange
+    vertical_px: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RectifiedDepth:
+    """The disparity of one rectified eye with what is known about it."""
+
+    refined: Refined
+    confidence: Float32
+    flags: np.ndarray
+    vertical_px: float
+
+
+def disparity_of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> RectifiedDepth:
+    """Match, check, refine and judge the left eye of a rectified pair."""
+    found = match(proxy, search, exhaustive=settings.quality == "fine")
+    confirmed = consistent(found.left, found.right, within_px=settings.consistency_px)
+    flow = None if settings.quality == "draft" else flow_disparity(proxy)
+    dense = found.dense
+    if flow is not None:
+        # Where matching found nothing and flow is sure of a value in range, flow fills.
+        with np.errstate(invalid="ignore"):
+            useful = ~np.isfinite(found.left) & (np.abs(flow.disparity - dense) <= settings.consistency_px * 2)
+        dense = np.where(useful, flow.disparity, dense)
+    refined = refine(proxy, dense, confirmed.astype(np.float32))
+    evidence = belief.evidence(proxy, found, refined, confirmed, None if flow is None else flow.disparity)
+    return RectifiedDepth(
+        refined=refined,
+        confidence=belief.confidence_from_evidence(evidence),
+        flags=belief.reasons(refined, found, confirmed, proxy.right_known, proxy.left_known),
+        vertical_px=float("nan") if flow is None else flow.vertical_px,
+    )
+
+
+def _flipped(depth: RectifiedDepth) -> RectifiedDepth:
+    """The depth of the mirrored pair, turned back."""
+
+    def turn(a: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(a[:, ::-1])
+
+    r = depth.refined
+    refined = Refined(disparity=turn(r.disparity), slope_x=-turn(r.slope_x), slope_y=turn(r.slope_y), hidden=turn(r.hidden))
+    return RectifiedDepth(refined=refined, confidence=turn(depth.confidence), flags=turn(depth.flags), vertical_px=depth.vertical_px)
+
+
+def depth_on_plate(depth: RectifiedDepth, rectification: Rectification, *, eye: Eye = "left", fill: bool = True) -> Frame:
+    """Z, confidence and flags carried to the original plate in one resampling; two surfaces are never mixed.
+
+    fill : keep values that are only guesses (flagged FILLED); off, they are NaN.
+    """
+    rig = rectification.rig
+    refined, camera = depth.refined, rectification.original.camera(eye)
+    if rectification.identity:
+        disparity, nearest = refined.disparity, np.arange(refined.disparity.size, dtype=np.int32).reshape(refined.disparity.shape)
+        stretch = np.ones(camera.size_hw)
+    else:
+        pixels = rectification.rectified_from_original(eye)
+        disparity, nearest = on_planes(refined.disparity, (refined.slope_x, refined.slope_y), pixels, apart=APART_PX)
+        stretch = rectification.original_over_rectified_depth(eye)
+    reached = nearest >= 0
+    flags = np.where(reached, depth.flags.ravel()[np.maximum(nearest, 0)], np.uint16(Flag.OUT_OF_VIEW | Flag.UNMATCHED)).astype(np.uint16)
+    sure = np.where(reached, depth.confidence.ravel()[np.maximum(nearest, 0)], np.float32(0))
+    far = reached & ~(disparity + rig.doffs_px >= SMALLEST_DISPARITY_PX)
+    flags |= np.where(far, np.uint16(Flag.TOO_FAR), np.uint16(0))
+    Z = (rig.depth_from_disparity(disparity) * stretch).astype(np.float32)
+    Z[far] = np.nan
+    if not fill:
+        Z[(flags & Flag.FILLED) != 0] = np.nan
+    sure[~np.isfinite(Z)] = 0
+    return Frame(passes={"Z": Z, "confidence": sure, "flags": flags}, camera=camera, eye=eye)
+
+
+def recover(left: Float32, right: Float32, rectification: Rectification, *, settings: DepthSettings | None = None, eye: Eye = "left") -> Recovered:
+    """Depth of `eye` from upright scene-linear plates.
+
+    left, right : (H, W, 3) float32, NaN where a plate is broken.
+    Raises      : PlateError when sizes do not fit the rig, nothing matches, or the eyes look swapped.
+    """
+    settings = settings or DepthSettings()
+    proxy = matching_proxy(rectification.rectify(left, "left"), rectification.rectify(right, "right"))
+    rig = rectification.rig
+    search = search_range(proxy, rig, near_m=settings.near_m, far_m=settings.far_m)
+    if search.count > proxy.left.shape[1]:
+        raise PlateError(
+            f"disparities from {search.low} to {search.high} px do not fit plates {proxy.left.shape[1]} px wide; check near_m and far_m against the rig"
+        )
+    depth = disparity_of_pair(proxy, search, settings) if eye == "left" else _flipped(disparity_of_pair(proxy.flipped(), search, settings))
+    rectified = Frame(
+        passes={"disparity": depth.refined.disparity, "confidence": depth.confidence, "flags": depth.flags},
+        camera=rig.left if eye == "left" else rig.right,
+        eye=eye,
+    )
+    frame = depth_on_plate(depth, rectification, eye=eye, fill=settings.fill)
+    return Recovered(frame=frame, rectified=rectified, search=search, vertical_px=depth.vertical_px)

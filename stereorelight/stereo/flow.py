@@ -1,0 +1,40 @@
+"""The second opinion: dense inverse search optical flow (Kroeger et al. 2016, OpenCV's DIS) between the eyes.
+
+In: a `Proxy`.  Out: disparity (H, W) float32 by a method that shares no step with semi-global matching, NaN where flow
+there and back disagree.  It knows no rows, so its vertical part also tells how well the pair is rectified."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stereorelight.arrays import Float32
+from stereorelight.stereo.proxy import Proxy
+
+VERTICAL_LIMIT_PX = 2.0  # a match that leaves its row by more is no stereo match
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FlowMatch:
+    """disparity (H, W) px, NaN where unconfirmed; vertical_px: median row error of the confirmed pixels."""
+
+    disparity: Float32
+    vertical_px: float
+
+
+def _look_up(flow: Float32, at: Float32) -> Float32:
+    grid = np.stack(np.meshgrid(np.arange(flow.shape[1], dtype=np.float32), np.arange(flow.shape[0], dtype=np.float32)), axis=-1)
+    return cv2.remap(flow, grid + at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(1e6, 1e6))
+
+
+def flow_disparity(proxy: Proxy, *, within_px: float = 1.0) -> FlowMatch:
+    """Disparity by optical flow, checked there and back to `within_px`."""
+    left, right = (cv2.cvtColor(p, cv2.COLOR_BGR2GRAY) for p in (proxy.left, proxy.right))
+    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    there, back = dis.calc(left, right, None), dis.calc(right, left, None)
+    residual = there + _look_up(back, there)
+    agrees = (np.abs(residual).max(axis=2) <= within_px) & (np.abs(there[..., 1]) <= VERTICAL_LIMIT_PX)
+    vertical = float(np.median(there[..., 1][agrees])) if agrees.any() else float("nan")
+    return FlowMatch(disparity=np.where(agrees, -there[..., 0], np.float32(np.nan)), vertical_px=vertical)

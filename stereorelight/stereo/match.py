@@ -1,0 +1,160 @@
+"""Matching along rows: the disparity range, and semi-global matching of both eyes (Hirschmüller 2008, OpenCV's SGBM).
+
+In: a `Proxy` (rectified, 8-bit, one tone).  Out: disparities (H, W) float32, x_left - x_right in pixels, NaN where
+unmatched.  Disparities of both signs are normal: a converged rig has them on both sides of its convergence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stereorelight.arrays import Float32, UInt8
+from stereorelight.camera import RectifiedRig
+from stereorelight.engine.occlusion import consistent
+from stereorelight.errors import PlateError
+from stereorelight.stereo.proxy import Proxy
+
+COARSE_WIDTH = 192  # pixels of the picture in which the range is looked for
+COARSE_REACH = 0.6  # of the frame's width: no disparity beyond it is looked for without a near_m
+TAIL = 0.002  # share of believed matches at either end that does not widen the range
+BEHIND_LIMIT = 0.6  # share of believed matches behind the rig at which the eyes must be swapped
+BLOCK = 3
+P1, P2 = 4 * 3 * BLOCK**2, 24 * 3 * BLOCK**2  # penalties of a step by one and of a jump, three channels
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisparityRange:
+    """Whole pixels searched: low <= d < low + count; count is a multiple of 16, as SGBM wants it."""
+
+    low: int
+    count: int
+
+    @classmethod
+    def holding(cls, low_px: float, high_px: float) -> DisparityRange:
+        low = int(np.floor(low_px))
+        return cls(low=low, count=16 * max(1, -(-(int(np.ceil(high_px)) + 1 - low) // 16)))
+
+    @property
+    def high(self) -> int:
+        return self.low + self.count
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Match:
+    """What matching says of a pair.
+
+    left, right : each eye's own disparity, NaN where unmatched.
+    dense       : the left one, filtered along the picture's edges, with a value everywhere.
+    """
+
+    left: Float32
+    right: Float32
+    dense: Float32
+
+
+def _sgbm(search: DisparityRange, mode: int) -> cv2.StereoSGBM:
+    return cv2.StereoSGBM_create(search.low, search.count, BLOCK, P1, P2, 1, 63, 0, 0, 0, mode)
+
+
+def _padded(picture: UInt8, search: DisparityRange) -> tuple[UInt8, int]:
+    """The picture with room on both sides for matches that leave the frame; without it, SGBM drops those columns."""
+    before, after = max(0, search.high), max(0, -search.low)
+    return cv2.copyMakeBorder(picture, 0, 0, before, after, cv2.BORDER_REPLICATE), before
+
+
+def _as_pixels(sixteenths: np.ndarray, lowest: int) -> Float32:
+    return np.where(sixteenths >= 16 * lowest, sixteenths.astype(np.float32) / 16, np.float32(np.nan))
+
+
+def match(
+    proxy: Proxy,
+    search: DisparityRange,
+    *,
+    exhaustive: bool = False,
+    dense: bool = True,
+    wls_lambda: float = 100.0,
+    wls_sigma: float = 1.5,
+) -> Match:
+    """Match both eyes by SGBM, then filter the left disparity along edges (weighted least squares, Min et al. 2014).
+
+    exhaustive : eight directions of aggregation in place of three; better, slower, and much more memory.
+    dense      : filter; without it `Match.dense` is the left disparity as found.
+    """
+    left, pad = _padded(proxy.left, search)
+    right, _ = _padded(proxy.right, search)
+    matcher = _sgbm(search, cv2.STEREO_SGBM_MODE_HH4 if exhaustive else cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    raw_left = matcher.compute(left, right)
+    raw_right = cv2.ximgproc.createRightMatcher(matcher).compute(right, left)
+    frame = slice(pad, pad + proxy.left.shape[1])
+    left_px = _as_pixels(raw_left[:, frame], search.low)
+    right_px = -_as_pixels(raw_right[:, frame], 1 - search.high)  # the right matcher counts x_right - x_left
+    if not dense:
+        return Match(left=left_px, right=right_px, dense=left_px)
+    wls = cv2.ximgproc.createDisparityWLSFilter(matcher)
+    wls.setLambda(wls_lambda)
+    wls.setSigmaColor(wls_sigma)
+    filtered = wls.filter(raw_left, left, None, raw_right)[:, frame].astype(np.float32) / 16
+    return Match(left=left_px, right=right_px, dense=np.clip(filtered, search.low, search.high))
+
+
+def _coarse(proxy: Proxy) -> tuple[Proxy, float]:
+    height, width = proxy.left.shape[:2]
+    scale = min(1.0, COARSE_WIDTH / width)
+    size = (max(16, round(width * scale)), max(16, round(height * scale)))
+
+    def small(a: np.ndarray) -> np.ndarray:
+        return cv2.resize(a, size, interpolation=cv2.INTER_AREA)
+
+    def known(a: np.ndarray) -> np.ndarray:
+        return small(a.astype(np.uint8) * 255) == 255
+
+    shrunk = Proxy(
+        left=small(proxy.left),
+        right=small(proxy.right),
+        left_grey=small(proxy.left_grey),
+        right_grey=small(proxy.right_grey),
+        left_known=known(proxy.left_known),
+        right_known=known(proxy.right_known),
+    )
+    return shrunk, size[0] / width
+
+
+def search_range(proxy: Proxy, rig: RectifiedRig, *, near_m: float | None = None, far_m: float | None = None) -> DisparityRange:
+    """Which disparities to search: from near and far where given, else from the pictures themselves.
+
+    A small copy is matched over everything that the frame allows; the range holds all but the last 0.2 % of the matches
+    that both eyes confirm on textured ground, with a margin.
+    Raises : PlateError when most matches lie behind the rig (eyes swapped) or there is nothing to match.
+    """
+    low = None if far_m is None else float(rig.disparity_from_depth(far_m)) - 1
+    high = None if near_m is None else float(rig.disparity_from_depth(near_m)) + 1
+    if low is not None and high is not None:
+        return DisparityRange.holding(low, high)
+    coarse, scale = _coarse(proxy)
+    width = coarse.left.shape[1]
+    infinity = -rig.doffs_px * scale
+    reach = COARSE_REACH * width
+    wide = DisparityRange.holding(infinity - reach / 2, infinity + reach)
+    found = match(coarse, wide, dense=False)
+    believed = consistent(found.left, found.right, within_px=0.75) & coarse.left_known
+    believed &= np.abs(cv2.Scharr(coarse.left_grey, cv2.CV_32F, 1, 0)) / 32 > 1.0
+    d = found.left[believed]
+    if d.size < 0.01 * believed.size:
+        raise PlateError("left and right plates hardly match anywhere; are they the same moment of the same scene, and is this their rig?")
+    behind = float(np.mean(d < infinity - 1.5))
+    if behind > BEHIND_LIMIT:
+        raise PlateError(
+            f"{100 * behind:.0f} % of the matches lie behind the rig: left and right plates look swapped; exchange them, or the eyes in the rig"
+        )
+    d = d[d >= infinity - 1.5]
+    lowest, highest = np.quantile(d, (TAIL, 1 - TAIL))
+    margin = 1.5 + 0.03 * (highest - lowest)
+    if low is None:
+        low = max(float(lowest - margin), infinity - 1) / scale
+    if high is None:
+        high = float(highest + margin) / scale
+    if low >= high:
+        raise PlateError(f"near_m/far_m leave no disparity to search (from {low:.1f} to {high:.1f} px); check them against the rig's baseline")
+    return DisparityRange.holding(low, high)

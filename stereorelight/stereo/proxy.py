@@ -1,0 +1,95 @@
+"""The matching proxy: 8-bit pictures of one tone for matchers that take nothing else.
+
+In: rectified scene-linear plates (H, W, 3), NaN outside the plate.  Out: a `Proxy`, BGR 8-bit as OpenCV has it, the same
+as float grey (0..255) for sub-pixel work, and where each plate is known.  Light is coded by its square root, which gives
+photon noise equal strength in light and shade.  The right eye is given the left eye's tones,
+channel by channel: different exposure or colour turns 3 % of wrong matches into 16-35 %."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereorelight.arrays import Bool, Float32, Float64, UInt8, UInt16
+from stereorelight.engine.tone import LEVELS, levels, through_tables
+from stereorelight.errors import PlateError
+
+WHITE_QUANTILE = 0.99
+HEADROOM = 1.25  # white lies this much above that quantile
+QUANTILES = 256
+SAMPLES = 50_000  # pixels looked at for statistics: enough for a quantile to a tenth of a grey level
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Proxy:
+    """Left and right as matchers want them: (H, W, 3) uint8 BGR, (H, W) float32 grey 0..255, and known pixels."""
+
+    left: UInt8
+    right: UInt8
+    left_grey: Float32
+    right_grey: Float32
+    left_known: Bool
+    right_known: Bool
+
+    def flipped(self) -> Proxy:
+        """The pair as seen in a mirror, eyes exchanged: matching it gives the right eye's disparity."""
+        return Proxy(
+            left=np.ascontiguousarray(self.right[:, ::-1]),
+            right=np.ascontiguousarray(self.left[:, ::-1]),
+            left_grey=np.ascontiguousarray(self.right_grey[:, ::-1]),
+            right_grey=np.ascontiguousarray(self.left_grey[:, ::-1]),
+            left_known=np.ascontiguousarray(self.right_known[:, ::-1]),
+            right_known=np.ascontiguousarray(self.left_known[:, ::-1]),
+        )
+
+
+def _sample(picture: Float32 | UInt16) -> Float32 | UInt16:
+    """About `SAMPLES` of the pixels, evenly spread, as (n, 3)."""
+    step = max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / SAMPLES)))
+    return picture[::step, ::step].reshape(-1, 3)
+
+
+def _white(picture: Float32, eye: str) -> float:
+    sample = _sample(picture)
+    light = sample[np.isfinite(sample).all(axis=1)].max(axis=1, initial=-np.inf)
+    if light.size == 0:
+        finite = picture[np.isfinite(picture).all(axis=2)]
+        if finite.size == 0:
+            raise PlateError(f"{eye} plate has no known pixel (all NaN or infinite); check the render or the colour space")
+        light = finite.max(axis=1)
+    white = float(np.quantile(light, WHITE_QUANTILE))
+    if not white > 0:
+        raise PlateError(f"{eye} plate is black nearly everywhere; check exposure and colour space")
+    return white * HEADROOM
+
+
+def _level_at(values: UInt16, share: Float64) -> Float64:
+    """Levels below which these shares of `values` lie, by counting."""
+    count = np.cumsum(np.bincount(values, minlength=LEVELS)) / values.size
+    return np.interp(share, count + np.arange(LEVELS) * 1e-12, np.arange(LEVELS))
+
+
+def tone_tables(picture: UInt16, target: UInt16) -> Float32:
+    """(3, LEVELS) tables that give `picture` the distribution of tones of `target`, by matching quantiles per channel."""
+    at = np.linspace(0, 1, QUANTILES)
+    mine, theirs = _sample(picture), _sample(target)
+    tables = []
+    for c in range(3):
+        # Rising positions for np.interp: equal quantiles (clipped areas) are set apart by far less than a level.
+        positions = _level_at(mine[:, c], at) + np.arange(QUANTILES) * 1e-6
+        tables.append(np.interp(np.arange(LEVELS), positions, _level_at(theirs[:, c], at)))
+    return (np.stack(tables) * (255 / (LEVELS - 1))).astype(np.float32)
+
+
+def matching_proxy(left: Float32, right: Float32) -> Proxy:
+    """8-bit pictures of one tone from rectified scene-linear plates (H, W, 3); NaN marks what the plate lacks.
+
+    Raises : PlateError when a plate has no known pixel or no light at all.
+    """
+    left_level, left_known = levels(left, white=_white(left, "left"))
+    right_level, right_known = levels(right, white=_white(right, "right"))
+    straight = np.broadcast_to(np.linspace(0, 255, LEVELS, dtype=np.float32), (3, LEVELS))
+    left_bgr, left_grey = through_tables(left_level, np.ascontiguousarray(straight))
+    right_bgr, right_grey = through_tables(right_level, tone_tables(right_level, left_level))
+    return Proxy(left=left_bgr, right=right_bgr, left_grey=left_grey, right_grey=right_grey, left_known=left_known, right_known=right_known)
