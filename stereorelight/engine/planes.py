@@ -1,0 +1,262 @@
+"""Plane fits on inverse depth in row-blocked kernels, constant cost whatever the window.
+
+In: inverse depth w, ray slopes x and y, weights, all (H, W) float64.  Out: N (H, W, 3) float32, scene frame.
+A window's plane w = a x + b y + c comes from running sums of moments.  At every scale each pixel takes, of the nine windows shifted by
+-r, 0 or r that hold it, the one whose plane fits best: a shiftable window ends at a depth edge or a crease and does not straddle it.
+Scales are then weighed per pixel.  Shifting the window and slope differences between scales kill what is the same in both: what is
+left of N_r - N_2r is the noise of scale r where noise rules and the bias of scale 2r where shape rules, so its local mean square is
+least at the best scale.  It needs no noise model and holds for correlated noise as well (docs/decisions).
+
+Results do not depend on the number of threads: blocks of rows have a fixed height and every sum a fixed order."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from stereorelight.arrays import Float32, Float64
+from stereorelight.engine.locks import KERNEL_LOCK
+
+BLOCK = 64  # rows a task: high enough that starting the running sums costs little
+SUMS = 11
+FAST = {"reassoc", "contract", "arcp", "nsz"}  # never nnan: NaN means unknown
+BAD = 1e300
+OWN = 0.25  # what the pixel's own misfit counts beside its window's: is it of this surface at all?
+SHIFT_PRICE = 1.5  # a shifted window must fit this much better than the centred one
+OWN_RISK = 0.5  # what the pixel's own disagreement counts beside its surroundings'
+ROUNDING = 1e-13  # float32 normals squared: less disagreement than this means nothing
+UNJUDGED = 1e-9  # weight of a scale that no coarser one could judge: the last resort
+LAST = 4.0
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def _add_row(cols, sign, w, x, y, q):
+    """Add (sign 1) or take away (-1) one row's moments, (SUMS, W)."""
+    for i in range(w.size):
+        k = sign * q[i]
+        kx = k * x[i]
+        ky = k * y[i]
+        kw = k * w[i]
+        cols[0, i] += k
+        cols[1, i] += kx
+        cols[2, i] += ky
+        cols[3, i] += kw
+        cols[4, i] += kx * x[i]
+        cols[5, i] += kx * y[i]
+        cols[6, i] += ky * y[i]
+        cols[7, i] += kx * w[i]
+        cols[8, i] += ky * w[i]
+        cols[9, i] += kw * w[i]
+        cols[10, i] += sign if q[i] > 0 else 0.0
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def _run_row(cols, r, rows):
+    """Sums over 2 r + 1 columns of every moment; columns beyond the frame count nothing."""
+    w = cols.shape[1]
+    for k in range(cols.shape[0]):
+        s = 0.0
+        for i in range(min(r, w)):
+            s += cols[k, i]
+        for i in range(w):
+            if i + r < w:
+                s += cols[k, i + r]
+            if i - r - 1 >= 0:
+                s -= cols[k, i - r - 1]
+            rows[k, i] = s
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def _solve_row(s0, sx, sy, sw, sxx, sxy, syy, sxw, syw, sww, count, least, a, b, c, res):
+    """Plane and residual variance of each window; res = BAD where the window cannot say."""
+    for i in range(a.size):
+        inv = 1.0 / s0[i] if s0[i] > 0 else 0.0
+        mx = sx[i] * inv
+        my = sy[i] * inv
+        mw = sw[i] * inv
+        xx = sxx[i] * inv - mx * mx
+        xy = sxy[i] * inv - mx * my
+        yy = syy[i] * inv - my * my
+        xw = sxw[i] * inv - mx * mw
+        yw = syw[i] * inv - my * mw
+        ww = sww[i] * inv - mw * mw
+        det = xx * yy - xy * xy
+        n = count[i] + 0.5  # whole counts, kept from rounding
+        good = n > least and det > 0.02 * xx * yy and det > 0
+        inv = 1.0 / det if good else 0.0
+        p = (xw * yy - yw * xy) * inv
+        s = (yw * xx - xw * xy) * inv
+        a[i] = p
+        b[i] = s
+        c[i] = mw - p * mx - s * my
+        left = ww - p * xw - s * yw
+        left = left if left > 0 else 0.0
+        res[i] = left * n / (n - 3.0) if good else BAD
+
+
+@numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
+def _fit(w, x, y, q, r, least, a, b, c, res):
+    h, wd = w.shape
+    for block in numba.prange((h + BLOCK - 1) // BLOCK):
+        y0 = block * BLOCK
+        cols = np.zeros((SUMS, wd))
+        rows = np.empty((SUMS, wd))
+        for v in range(max(0, y0 - r), min(h, y0 + r)):
+            _add_row(cols, 1.0, w[v], x[v], y[v], q[v])
+        for v in range(y0, min(h, y0 + BLOCK)):
+            if v + r < h:
+                _add_row(cols, 1.0, w[v + r], x[v + r], y[v + r], q[v + r])
+            if v - r - 1 >= 0 and v > y0:
+                _add_row(cols, -1.0, w[v - r - 1], x[v - r - 1], y[v - r - 1], q[v - r - 1])
+            _run_row(cols, r, rows)
+            _solve_row(
+                rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8], rows[9], rows[10],
+                least, a[v], b[v], c[v], res[v],
+            )  # fmt: skip
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def _take_row(shift, price, w, x, y, a, b, c, res, best, oa, ob, oc):
+    """Keep the shifted window's plane where it fits better than the best so far."""
+    n = w.size
+    for i in range(max(0, -shift), min(n, n - shift)):
+        j = i + shift
+        own = w[i] - (a[j] * x[i] + b[j] * y[i] + c[j])
+        score = (res[j] + OWN * own * own) * price
+        better = score < best[i]
+        best[i] = score if better else best[i]
+        oa[i] = a[j] if better else oa[i]
+        ob[i] = b[j] if better else ob[i]
+        oc[i] = c[j] if better else oc[i]
+
+
+@numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
+def _choose(w, w0, x, y, r, a, b, c, res, normals):
+    """Unit scene-frame normals of the best of nine windows; NaN where none can say."""
+    h, wd = w.shape
+    for v in numba.prange(h):
+        best = np.full(wd, BAD)
+        oa = np.zeros(wd)
+        ob = np.zeros(wd)
+        oc = np.zeros(wd)
+        _take_row(0, 1.0, w[v], x[v], y[v], a[v], b[v], c[v], res[v], best, oa, ob, oc)
+        for j in range(-1, 2):
+            u = v + j * r
+            if u >= 0 and u < h:
+                for i in range(-1, 2):
+                    if i != 0 or j != 0:
+                        _take_row(i * r, SHIFT_PRICE, w[v], x[v], y[v], a[u], b[u], c[u], res[u], best, oa, ob, oc)
+        for i in range(wd):
+            # The plane's own value on this ray must be in front of the camera, or its normal faces away.
+            k = oc[i] + w0
+            if best[i] < BAD and oa[i] * x[v, i] + ob[i] * y[v, i] + k > 0:
+                s = 1.0 / np.sqrt(oa[i] * oa[i] + ob[i] * ob[i] + k * k)
+                normals[v, i, 0] = -oa[i] * s
+                normals[v, i, 1] = ob[i] * s
+                normals[v, i, 2] = k * s
+            else:
+                normals[v, i, 0] = np.nan
+                normals[v, i, 1] = np.nan
+                normals[v, i, 2] = np.nan
+
+
+@numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
+def _disagreement(fine, coarse, delta, count):
+    """Squared distance of two unit normals, and 1 where both are known; 0 and 0 elsewhere."""
+    h, w = delta.shape
+    for v in numba.prange(h):
+        for i in range(w):
+            p = fine[v, i, 0] - coarse[v, i, 0]
+            q = fine[v, i, 1] - coarse[v, i, 1]
+            s = fine[v, i, 2] - coarse[v, i, 2]
+            d = p * p + q * q + s * s
+            good = d == d
+            delta[v, i] = d if good else 0.0
+            count[v, i] = 1.0 if good else 0.0
+
+
+@numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
+def _risk(delta, count, r, floor, risk):
+    """Local mean of `delta` over (2 r + 1)^2 where known, with the pixel's own beside it; NaN where that is not known."""
+    h, w = delta.shape
+    for block in numba.prange((h + BLOCK - 1) // BLOCK):
+        y0 = block * BLOCK
+        cols = np.zeros((2, w))
+        rows = np.empty((2, w))
+        for v in range(max(0, y0 - r), min(h, y0 + r)):
+            for i in range(w):
+                cols[0, i] += delta[v, i]
+                cols[1, i] += count[v, i]
+        for v in range(y0, min(h, y0 + BLOCK)):
+            if v + r < h:
+                for i in range(w):
+                    cols[0, i] += delta[v + r, i]
+                    cols[1, i] += count[v + r, i]
+            if v - r - 1 >= 0 and v > y0:
+                for i in range(w):
+                    cols[0, i] -= delta[v - r - 1, i]
+                    cols[1, i] -= count[v - r - 1, i]
+            _run_row(cols, r, rows)
+            for i in range(w):
+                mean = max(rows[0, i], 0.0) / max(rows[1, i], 1.0)
+                risk[v, i] = mean + OWN_RISK * delta[v, i] + floor if count[v, i] > 0 else np.nan
+
+
+@numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
+def _blend(normals, risk, total):
+    """Add a scale's normals, weighed by one over the risk squared."""
+    h, w = risk.shape
+    for v in numba.prange(h):
+        for i in range(w):
+            if normals[v, i, 2] == normals[v, i, 2]:
+                k = 1.0 / (risk[v, i] * risk[v, i]) if risk[v, i] == risk[v, i] else UNJUDGED
+                total[v, i, 0] += k * normals[v, i, 0]
+                total[v, i, 1] += k * normals[v, i, 1]
+                total[v, i, 2] += k * normals[v, i, 2]
+
+
+def _noise_floor(r: int, noise: float, rays: Float64, inverse: Float64) -> float:
+    """Mean-square angle that white noise of this size leaves in a window's normal, at the picture's median depth."""
+    if noise == 0:
+        return ROUNDING
+    pitch = float(np.nanmedian(np.abs(np.diff(rays[..., 0], axis=1))))
+    k = 2 * r + 1
+    slope_variance = 12 * noise**2 / (k * k * (k * k - 1) * pitch**2)
+    return ROUNDING + float(2 * slope_variance / np.nanmedian(inverse) ** 2)
+
+
+def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple[int, ...], noise: float) -> Float32:
+    """N (H, W, 3) float32, scene frame, facing the camera; NaN where `inverse` is, or where no window can say.
+
+    inverse : (H, W), 1/Z or anything proportional to it, NaN where unknown.   rays : (H, W, 2) x/z and y/z.
+    weight  : (H, W) >= 0.   radii : growing half-widths, two or more.   noise : standard deviation that `inverse` has at least.
+    """
+    h, w = inverse.shape
+    known = np.isfinite(inverse) & np.isfinite(rays).all(axis=-1)
+    if not known.any():
+        return np.full((h, w, 3), np.nan, dtype=np.float32)
+    q = np.where(known & (weight > 0), weight, 0.0)
+    x, y = (np.where(known, rays[..., k], 0.0) for k in (0, 1))
+    w0 = float(inverse[known].mean())
+    centred = np.where(known, inverse - w0, 0.0)  # small numbers keep the running sums exact
+    a, b, c, res, delta, count, risk = (np.empty((h, w)) for _ in range(7))
+    total = np.zeros((h, w, 3))
+    fine: Float32 | None = None
+    with KERNEL_LOCK:
+        for k, r in enumerate(radii):
+            _fit(centred, x, y, q, r, max(5.0, 0.25 * (2 * r + 1) ** 2), a, b, c, res)
+            coarse = np.empty((h, w, 3), dtype=np.float32)
+            _choose(centred, w0, x, y, r, a, b, c, res, coarse)
+            if fine is not None:
+                _disagreement(fine, coarse, delta, count)
+                before = risk.copy()
+                _risk(delta, count, 2 * radii[k - 1], _noise_floor(radii[k - 1], noise, rays, inverse), risk)
+                _blend(fine, risk, total)
+            fine = coarse
+        # Nothing coarser judges the last scale.  Noise falls by 16 from scale to scale; what fell less is shape, and weighs four times more there.
+        shape = risk - before / 12 if len(radii) > 2 else risk
+        _blend(fine, LAST * np.fmax(shape, 0) + risk / 16 + _noise_floor(radii[-1], noise, rays, inverse), total)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total /= np.sqrt((total * total).sum(axis=-1, keepdims=True))
+    total[~known] = np.nan
+    return np.ascontiguousarray(total, dtype=np.float32)

@@ -1,0 +1,99 @@
+"""Normals from depth: a robust local plane fit on inverse depth, or the paper's differences of positions.
+
+In: Z (H, W), metres along the optical axis, and the camera of the plate that Z lies on.
+Out: N (H, W, 3) float32, unit, scene frame (x right, y up, the camera looks down -z), facing the camera; NaN where unknown.
+
+Along the ray (x, y, 1) a plane n . P = c is met at 1/Z = (n . (x, y, 1)) / c: inverse depth is affine in the ray's slopes for any
+lens, so a plane fitted to it has no bias on planes, however steep or distorted."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from stereorelight.arrays import Float32, Float64, as_float32
+from stereorelight.camera import Camera, RectifiedRig
+from stereorelight.engine import planes
+from stereorelight.errors import PassError, nearest_hint
+from stereorelight.surface.position import checked_depth, position_from_depth, ray_slopes
+
+Method = Literal["plane", "difference"]
+RADII_PX = (1, 2, 4, 8, 16, 32)
+
+
+def _facing(normals: Float64, towards: Float64) -> Float32:
+    """Unit (H, W, 3) float32, turned so that N . towards > 0; NaN where the length or the side is unknown."""
+    length = np.sqrt((normals * normals).sum(axis=-1))
+    side = (normals * towards).sum(axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = np.where((length > 0) & (side != 0), np.sign(side) / length, np.nan)
+    return np.ascontiguousarray(normals * scale[..., None], dtype=np.float32)
+
+
+def _by_difference(Z: npt.ArrayLike, camera: Camera) -> Float32:
+    """The paper's equations 3-5, the last row and column from the difference before them."""
+    P = position_from_depth(Z, camera).astype(np.float64)
+    if min(P.shape[:2]) < 2:
+        raise PassError(f"normals need at least 2x2 pixels, got {P.shape[1]}x{P.shape[0]}")
+    across = np.diff(P, axis=1)
+    down = np.diff(P, axis=0)
+    across = np.concatenate([across, across[:, -1:]], axis=1)
+    down = np.concatenate([down, down[-1:]], axis=0)
+    return _facing(np.cross(across, down), -P)
+
+
+def normals_from_depth(
+    Z: npt.ArrayLike,
+    camera: Camera,
+    *,
+    method: Method = "plane",
+    radii_px: tuple[int, ...] = RADII_PX,
+    confidence: npt.ArrayLike | None = None,
+    noise_per_m: float = 0.0,
+) -> Float32:
+    """N (H, W, 3) float32, unit, scene frame of the camera, facing it (N . V > 0 with V towards the camera); NaN where Z is.
+
+    method      : "plane", edge-aware plane fits on inverse depth at several scales, the scale chosen by the data's own noise;
+                  "difference", the paper's forward differences of P (equations 3-5), which show noise and wall off depth edges.
+    radii_px    : half-widths of the windows tried, growing; the last one only judges the one before it.
+    confidence  : (H, W) in 0..1, weighs the neighbours; 0 leaves one out.  NaN counts as 0.
+    noise_per_m : what 1/Z is at least off by (standard deviation), 1/metres: sigma_px / (fx baseline_m).  0 trusts the data.
+    Raises      : PassError for wrong shapes, types and Z that is not positive.
+    """
+    if method == "difference":
+        return _by_difference(Z, camera)
+    if method != "plane":
+        raise PassError(f"normals method {method!r} is unknown{nearest_hint(str(method), ('plane', 'difference'))}")
+    depth = checked_depth(Z, camera)
+    return _by_planes(1 / depth.astype(np.float64), ray_slopes(camera), confidence, radii_px, noise_per_m)
+
+
+def normals_from_disparity(
+    disparity: npt.ArrayLike,
+    rig: RectifiedRig,
+    *,
+    radii_px: tuple[int, ...] = RADII_PX,
+    confidence: npt.ArrayLike | None = None,
+    noise_px: float = 0.0,
+) -> Float32:
+    """The plane fit straight on a rectified disparity, (H, W) pixels on the left view, NaN where unknown.
+
+    A plane in space is a plane in disparity, so this is `normals_from_depth` without the way through Z; N is in the scene frame of
+    the rectified left camera.  noise_px : what the disparity is at least off by, pixels.
+    """
+    d = as_float32(disparity, "disparity", size_hw=rig.left.size_hw)
+    inverse = (d.astype(np.float64) + rig.doffs_px) / (rig.left.fx * rig.baseline_m)
+    inverse[~(np.isfinite(inverse) & (inverse > 0))] = np.nan
+    return _by_planes(inverse, ray_slopes(rig.left), confidence, radii_px, noise_px / (rig.left.fx * rig.baseline_m))
+
+
+def _by_planes(inverse: Float64, rays: Float64, confidence: npt.ArrayLike | None, radii_px: tuple[int, ...], noise: float) -> Float32:
+    h, w = inverse.shape
+    if len(radii_px) < 2 or any(not isinstance(r, int | np.integer) for r in radii_px) or radii_px[0] < 1 or list(radii_px) != sorted(set(radii_px)):
+        raise PassError(f"radii_px must be at least two growing whole numbers from 1, got {radii_px!r}")
+    if not noise >= 0:
+        raise PassError(f"noise must be >= 0, got {noise!r}")
+    weight = np.ones((h, w)) if confidence is None else as_float32(confidence, "confidence", size_hw=(h, w)).astype(np.float64)
+    return planes.plane_normals(inverse, rays, weight, tuple(int(r) for r in radii_px), float(noise))
