@@ -12,7 +12,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit, prange
+
+from stereorelight.arrays import Bool, Float64
+from stereorelight.engine.locks import KERNEL_LOCK
 
 # Object row: kind, material, first primitive, primitive count, R (9), origin (3), parameters (4), wrinkles (amplitude, frequency xyz).
 PLANE, SPHERE, BOX, SOLID = 0, 1, 2, 3
@@ -240,13 +244,7 @@ def _hit(objects, n, primitives, origin, direction, limit):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def first_hits(objects, primitives, origins, directions, limits, any_hit):
-    """First hit of each ray: (t (n,) float64, NaN for none; object (n,) int64, -1 for none).
-
-    origins   : (n, 3), or (1, 3) where all rays start at one point.
-    limits    : (n,) or (1,) t beyond which nothing counts; a limit of 0 or NaN skips the ray.
-    any_hit   : stop at the first object found: enough where only "blocked or not" is asked.
-    """
+def _first_hits(objects, primitives, origins, directions, limits, any_hit):
     count = directions.shape[0]
     t = np.full(count, np.nan)
     hit = np.full(count, -1, np.int64)
@@ -316,8 +314,7 @@ def _albedo(m, x, y, z, out):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def surface_at(objects, primitives, materials, points, hit):
-    """(normal (n, 3), albedo (n, 3), specular (n, 2): strength and exponent) at world points on objects `hit`; NaN for -1."""
+def _surface_at(objects, primitives, materials, points, hit):
     count = points.shape[0]
     normals = np.full((count, 3), np.nan)
     albedo = np.full((count, 3), np.nan)
@@ -355,4 +352,35 @@ def surface_at(objects, primitives, materials, points, hit):
             m = materials[int(o[1])]
             _albedo(m, x, y, z, albedo[i])
             specular[i, 0], specular[i, 1] = m[11], m[12]
+    return normals, albedo, specular
+
+
+def first_hits(
+    objects: Float64, primitives: Float64, origins: Float64, directions: Float64, *, limits: Float64 | None = None
+) -> tuple[Float64, npt.NDArray[np.int64]]:
+    """First hit of each ray: (t (n,), NaN for none; object (n,), -1 for none).
+
+    origins : (n, 3), or (1, 3) where all rays start at one point; directions: (n, 3), any length, NaN for no ray.
+    limits  : (n,) t beyond which nothing counts (default: none); a limit of 0 or NaN skips the ray.
+    """
+    reach = np.array([1e30]) if limits is None else limits
+    with KERNEL_LOCK:
+        t, hit = _first_hits(objects, primitives, *(np.ascontiguousarray(a) for a in (origins, directions, reach)), False)
+    return t, hit
+
+
+def blocked(objects: Float64, primitives: Float64, origins: Float64, directions: Float64, limits: Float64) -> Bool:
+    """Whether each ray meets anything before its limit; as `first_hits`, but stops at the first object found."""
+    with KERNEL_LOCK:
+        _, hit = _first_hits(objects, primitives, *(np.ascontiguousarray(a) for a in (origins, directions, limits)), True)
+    found: Bool = hit >= 0
+    return found
+
+
+def surface_at(
+    objects: Float64, primitives: Float64, materials: Float64, points: Float64, hit: npt.NDArray[np.int64]
+) -> tuple[Float64, Float64, Float64]:
+    """(unit outward normal (n, 3), albedo (n, 3), specular strength and exponent (n, 2)) at world points on objects `hit`; NaN for -1."""
+    with KERNEL_LOCK:
+        normals, albedo, specular = _surface_at(objects, primitives, materials, np.ascontiguousarray(points), hit)
     return normals, albedo, specular

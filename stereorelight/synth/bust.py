@@ -37,13 +37,13 @@ def _skin() -> tuple[Primitive, ...]:
         ellipsoid((0, -0.030, 0.014), (0.0605, 0.074, 0.066), blend_m=0.03),
         ellipsoid((0, -0.066, 0.018), (0.050, 0.044, 0.056), blend_m=0.025),
         ball((0, -0.0975, 0.0590), 0.0150, blend_m=0.03),
-        limb((0, -0.07, -0.030), (0, -0.23, -0.040), 0.054, 0.060, blend_m=0.035),
+        limb((0, -0.07, -0.030), (0, -0.21, -0.040), 0.050, 0.058, blend_m=0.035),
         *_both(
-            ellipsoid((0.047, -0.072, -0.002), (0.018, 0.026, 0.026), blend_m=0.035),  # jaw angle
+            ellipsoid((0.040, -0.070, 0.000), (0.015, 0.024, 0.026), blend_m=0.035),  # jaw angle
             ellipsoid((0.044, -0.022, 0.047), (0.021, 0.015, 0.020), blend_m=0.03),  # cheek bone
             limb((0.008, 0.0190, 0.0755), (0.041, 0.0175, 0.0600), 0.0090, 0.0080, blend_m=0.022),  # brow
             limb((0.033, -0.085, -0.020), (0.012, -0.195, 0.018), 0.012, 0.010, blend_m=0.03),  # neck muscle
-            limb((0.016, -0.200, 0.022), (0.150, -0.180, -0.030), 0.011, 0.010, blend_m=0.03),  # collar bone
+            limb((0.014, -0.188, 0.022), (0.056, -0.197, 0.000), 0.009, 0.008, blend_m=0.03),  # collar bone
         ),
         ellipsoid((0, -0.275, -0.035), (0.150, 0.085, 0.070), blend_m=0.05),  # chest under the shirt
         limb((0, -0.104, 0.010), (0, -0.125, 0.000), 0.016, 0.014, blend_m=0.03),  # under the chin
@@ -55,14 +55,14 @@ def _skin() -> tuple[Primitive, ...]:
         ellipsoid((EYE_X, EYE_Y - 0.0006, 0.0725), (0.0130, 0.0046, 0.0100), blend_m=0.0025, cut=True, y_deg=8),  # opening
     )
     nose = [
-        limb((0, 0.014, 0.0745), (0, -0.032, 0.0950), 0.0062, 0.0088, blend_m=0.016),
-        ball((0, -0.0365, 0.0965), 0.0098, blend_m=0.010),
+        limb((0, 0.014, 0.0745), (0, -0.031, 0.0925), 0.0064, 0.0088, blend_m=0.018),
+        ball((0, -0.0360, 0.0945), 0.0096, blend_m=0.012),
         *_both(ellipsoid((0.0115, -0.0405, 0.0850), (0.0070, 0.0068, 0.0098), blend_m=0.008)),
         *_both(ellipsoid((0.0060, -0.0485, 0.0910), (0.0034, 0.0040, 0.0060), blend_m=0.003, cut=True, y_deg=18)),
     ]
     mouth = [
         ellipsoid((0, -0.067, 0.060), (0.032, 0.025, 0.0205), blend_m=0.022),
-        *_both(ellipsoid((0.0085, -0.0640, 0.0770), (0.0150, 0.0046, 0.0066), blend_m=0.007, y_deg=20, z_deg=-7)),
+        *_both(ellipsoid((0.0085, -0.0640, 0.0770), (0.0150, 0.0046, 0.0066), blend_m=0.007, y_deg=20, z_deg=-11)),
         ellipsoid((0, -0.0745, 0.0765), (0.0185, 0.0058, 0.0076), blend_m=0.008),
         ellipsoid((0, -0.0690, 0.0900), (0.0260, 0.0009, 0.0110), blend_m=0.0035, cut=True),
         limb((0, -0.0500, 0.0915), (0, -0.0580, 0.0875), 0.0022, 0.0030, blend_m=0.005, cut=True),
@@ -77,24 +77,25 @@ def _skin() -> tuple[Primitive, ...]:
 
 def _hair() -> tuple[Primitive, ...]:
     return (
-        ellipsoid((0, 0.034, -0.026), (0.0815, 0.0935, 0.0980)),
-        ellipsoid((0, -0.030, -0.062), (0.070, 0.060, 0.056), blend_m=0.03),
-        limb((-0.045, 0.100, 0.030), (0.040, 0.110, 0.028), 0.024, 0.020, blend_m=0.03),
-        ellipsoid((0, -0.032, 0.075), (0.0700, 0.0950, 0.0560), blend_m=0.012, cut=True),
-        *_both(ellipsoid((0.082, -0.040, 0.016), (0.030, 0.060, 0.038), blend_m=0.012, cut=True)),
+        ellipsoid((0, 0.034, -0.026), (0.0800, 0.0885, 0.0965)),
+        ellipsoid((0, -0.025, -0.060), (0.068, 0.060, 0.056), blend_m=0.03),
+        ellipsoid((0.010, 0.088, 0.012), (0.056, 0.028, 0.046), blend_m=0.04, z_deg=-6),  # swept over the forehead
+        ellipsoid((0, -0.036, 0.075), (0.0680, 0.0980, 0.0520), blend_m=0.015, cut=True),
+        *_both(ellipsoid((0.082, -0.045, 0.014), (0.030, 0.058, 0.036), blend_m=0.012, cut=True)),
     )
 
 
 def _shirt() -> tuple[Primitive, ...]:
     return (
-        ellipsoid((0, -0.400, -0.035), (0.175, 0.200, 0.110)),
+        ellipsoid((0, -0.390, -0.035), (0.172, 0.200, 0.105)),
+        ellipsoid((0, -0.240, -0.010), (0.115, 0.072, 0.078), blend_m=0.05),
         *_both(
-            limb((0.045, -0.185, -0.045), (0.165, -0.232, -0.040), 0.040, 0.046, blend_m=0.06),
-            limb((0.172, -0.250, -0.040), (0.225, -0.520, -0.030), 0.058, 0.050, blend_m=0.05),
-            ellipsoid((0.075, -0.335, 0.035), (0.085, 0.070, 0.045), blend_m=0.06),
+            limb((0.040, -0.175, -0.045), (0.160, -0.218, -0.040), 0.036, 0.044, blend_m=0.06),
+            limb((0.168, -0.236, -0.040), (0.222, -0.510, -0.030), 0.058, 0.050, blend_m=0.05),
+            ellipsoid((0.075, -0.325, 0.030), (0.085, 0.070, 0.045), blend_m=0.06),
         ),
-        limb((0, -0.100, 0.000), (0, -0.215, 0.020), 0.062, 0.072, blend_m=0.012, cut=True),
-        ring((0, -0.196, -0.018), 0.073, 0.0075, blend_m=0.008, x_deg=17),
+        limb((0, -0.060, -0.022), (0, -0.215, -0.022), 0.062, 0.064, blend_m=0.008, cut=True),
+        ring((0, -0.172, -0.021), 0.0655, 0.0070, blend_m=0.006, x_deg=16),
     )
 
 
@@ -127,7 +128,7 @@ def _room(texture: float) -> tuple[Object, ...]:
 def _lights(frame: int, motion: bool) -> tuple[Light, ...]:
     sweep = 0.35 * math.sin(2 * math.pi * frame / SWING_FRAMES) if motion else 0.0
     return (
-        Light(name="key", type="point", position_m=(-0.75 + sweep, 0.75, -0.55), color=(1.0, 0.93, 0.84), intensity=1.15),
+        Light(name="key", type="point", position_m=(-0.75 + sweep, 0.75, -0.55), color=(1.0, 0.93, 0.84), intensity=1.5),
         Light(name="fill", type="directional", direction=(-0.6, -0.25, -1.0), color=(0.75, 0.87, 1.0), intensity=0.20),
         Light(
             name="rim",
@@ -157,7 +158,7 @@ def bust(*, texture: float = 1.0, face_texture: float | None = None, frame: int 
         color=(0.60, 0.40, 0.31),
         color2=(0.50, 0.20, 0.17),
         pattern="skin",
-        contrast=0.28 * face,
+        contrast=0.20 * face,
         frequency=70,
         octaves=5,
         gain=0.75,
@@ -167,7 +168,7 @@ def bust(*, texture: float = 1.0, face_texture: float | None = None, frame: int 
     hair = Material(
         color=(0.085, 0.052, 0.033),
         pattern="hair",
-        contrast=0.9 * texture,
+        contrast=0.6 * texture,
         frequency=180,
         octaves=4,
         gain=0.75,
@@ -175,7 +176,9 @@ def bust(*, texture: float = 1.0, face_texture: float | None = None, frame: int 
         exponent=12,
         stretch=(1.0, 0.25, 0.6),
     )
-    shirt = Material(color=(0.13, 0.21, 0.30), color2=(0.24, 0.31, 0.37), pattern="cloth", contrast=0.5 * texture, frequency=45, octaves=5, gain=0.75)
+    shirt = Material(
+        color=(0.13, 0.21, 0.30), color2=(0.24, 0.31, 0.37), pattern="cloth", contrast=0.36 * texture, frequency=45, octaves=5, gain=0.75
+    )
     eye = Material(
         color=(0.72, 0.70, 0.67),
         color2=(0.16, 0.20, 0.16),
@@ -204,7 +207,7 @@ def bust(*, texture: float = 1.0, face_texture: float | None = None, frame: int 
             size=(0.165,),
             bound_m=(0, 0.02, -0.02),
             primitives=_hair(),
-            wrinkles_m=0.0022,
+            wrinkles_m=0.0016,
             wrinkles_per_m=(110, 35, 60),
         ),
         Object(

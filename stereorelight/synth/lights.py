@@ -55,7 +55,7 @@ class Light:
         unit: Float64 = np.array(self.direction) / math.hypot(*self.direction)
         return unit
 
-    def ray_ends(self, points: Float64) -> Float64:
+    def ray_starts(self, points: Float64) -> Float64:
         """Where shadow rays to `points` (n, 3) start: (1, 3) for one place, (n, 3) for a directional light."""
         if self.type == "directional":
             start: Float64 = points - FAR_M * self.shines_to

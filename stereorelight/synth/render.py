@@ -26,7 +26,6 @@ from stereorelight.synth.scene import Scene, Tables
 
 FLIP = np.diag([1.0, -1.0, -1.0])  # camera frame <-> scene frame
 SELF_M = 2e-6  # a ray that ends on a surface must not find that surface; hits are exact to 1e-11 m
-NO_LIMIT = np.array([1e30])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,8 +85,8 @@ class _Hits:
 
 def _cast(tables: Tables, camera: Camera, pose: Float64, pixels: Float64) -> _Hits:
     directions = camera.rays(pixels.reshape(-1, 2)) @ (pose[:3, :3] @ FLIP).T
-    origin = np.ascontiguousarray(pose[:3, 3])[None]
-    t, hit = raycast.first_hits(tables.objects, tables.primitives, origin, np.ascontiguousarray(directions), NO_LIMIT, False)
+    origin = pose[None, :3, 3]
+    t, hit = raycast.first_hits(tables.objects, tables.primitives, origin, directions)
     points = origin + t[:, None] * directions
     normals, albedo, specular = raycast.surface_at(tables.objects, tables.primitives, tables.materials, points, hit)
     views = -directions / np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -99,9 +98,7 @@ def _blocked(tables: Tables, starts: Float64, points: Float64, asked: Bool) -> B
     along = points - starts
     with np.errstate(invalid="ignore"):
         limits = np.where(asked, 1.0 - SELF_M / np.linalg.norm(along, axis=-1), 0.0)
-    _, hit = raycast.first_hits(tables.objects, tables.primitives, starts, along, limits, True)
-    blocked: Bool = hit >= 0
-    return blocked
+    return raycast.blocked(tables.objects, tables.primitives, starts, along, limits)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,8 +118,7 @@ def _light(tables: Tables, hits: _Hits, lights: Sequence[Light], ambient: tuple[
         arrives = met.astype(np.float64)
         if shadows:
             asked = (diffuse + shine).sum(axis=-1) > 0
-            starts = np.ascontiguousarray(light.ray_ends(hits.points))
-            arrives = np.where(asked & ~_blocked(tables, starts, hits.points, asked), 1.0, 0.0)
+            arrives = np.where(asked & ~_blocked(tables, light.ray_starts(hits.points), hits.points, asked), 1.0, 0.0)
         picture = picture + arrives[:, None] * (diffuse + shine)
         layers |= {f"light_{light.name}_diffuse": diffuse, f"light_{light.name}_specular": shine, f"matte_lit_{light.name}": arrives}
     return _Lit(picture=picture, layers=layers)
@@ -135,7 +131,7 @@ def _unseen(tables: Tables, hits: _Hits, camera: Camera, pose: Float64) -> npt.N
     w, h = camera.size
     with np.errstate(invalid="ignore"):
         inside = (np.abs(seen[:, 0] - (w - 1) / 2) <= w / 2) & (np.abs(seen[:, 1] - (h - 1) / 2) <= h / 2)
-    hidden = _blocked(tables, np.ascontiguousarray(pose[:3, 3])[None], hits.points, met)
+    hidden = _blocked(tables, pose[None, :3, 3], hits.points, met)
     flags = np.where(met & ~inside, np.uint16(Flag.OUT_OF_VIEW), np.uint16(0)) | np.where(hidden, np.uint16(Flag.OCCLUDED), np.uint16(0))
     return np.where(met, flags, np.uint16(Flag.TOO_FAR)).astype(np.uint16)
 
