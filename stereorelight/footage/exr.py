@@ -9,13 +9,8 @@ DWA takes "P.Y" and "N.Y" for luminance and loses bits."""
 
 from __future__ import annotations
 
-import contextlib
 import io
-import os
 import re
-import sys
-import tempfile
-import threading
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +22,7 @@ import numpy.typing as npt
 from stereorelight.arrays import Float32
 from stereorelight.errors import OutputError, PassError, PlateError, nearest_hint
 from stereorelight.files import refuse_overwrite, write_whole
+from stereorelight.footage.source import check_file, quiet
 
 HALF_MAX = 65504.0  # the largest finite half
 LARGEST_SIDE = 32768  # pixels; no camera makes more, a damaged header easily claims it
@@ -35,8 +31,6 @@ MAGIC = b"\x76\x2f\x31\x01"
 CHANNEL_NAME = re.compile(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*")
 STANDARD = frozenset(("channels", "chunkCount", "compression", "dataWindow", "displayWindow", "lineOrder", "multiView", "name"))
 STANDARD |= {"pixelAspectRatio", "screenWindowCenter", "screenWindowWidth", "tiles", "type", "version", "view"}
-NOISE = re.compile(r"\(EXR_ERR_|^Warning: Exception raised reading pixel data")
-_one_reader = threading.Lock()  # stdout and stderr are the whole process's
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,47 +58,6 @@ class ExrPart:
     def metadata(self) -> dict[str, str]:
         """The header's words: attributes that are text and not part of the format."""
         return {k: v for k, v in self.header.items() if isinstance(v, str) and k not in STANDARD}
-
-
-def check_file(path: Path) -> None:
-    """Raise PlateError unless `path` is a file with something in it."""
-    if path.is_dir():
-        raise PlateError(f"{path}: is a folder; give a picture in it, or a pattern such as {path.name}/name.####.exr")
-    if not path.exists():
-        raise PlateError(f"{path}: there is no such file")
-    try:
-        with path.open("rb") as file:
-            if not file.read(1):
-                raise PlateError(f"{path}: the file is empty; copy or render it again")
-    except OSError as error:
-        raise PlateError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from error
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep the library's own printing off stdout and stderr; what anybody else prints meanwhile is passed on."""
-    with _one_reader, contextlib.ExitStack() as undo:
-        spool = undo.enter_context(tempfile.TemporaryFile())
-        saved: list[tuple[int, int]] = []
-        for fd in (1, 2):
-            with contextlib.suppress(OSError):  # a process without standard streams
-                saved.append((fd, os.dup(fd)))
-                os.dup2(spool.fileno(), fd)
-        printed = io.StringIO()
-        try:
-            with contextlib.redirect_stdout(printed):
-                yield
-        finally:
-            for fd, copy in saved:
-                os.dup2(copy, fd)
-                os.close(copy)
-            spool.seek(0)
-            for line in spool.read().decode(errors="replace").splitlines():
-                if not NOISE.search(line):
-                    print(line, file=sys.stderr)
-            for line in printed.getvalue().splitlines():
-                if not NOISE.search(line):
-                    print(line)
 
 
 def _window(header: Mapping[str, Any], which: str) -> tuple[int, int, int, int]:
@@ -169,7 +122,7 @@ def read_exr(path: str | Path) -> list[ExrPart]:
             raise PlateError(f"{path}: is not an EXR file; check its suffix, or export it again")
     import OpenEXR
 
-    with _quiet():
+    with quiet():
         OpenEXR.setMaxImageSize(LARGEST_SIDE, LARGEST_SIDE)
         try:
             promised = [dict(part.header) for part in OpenEXR.File(str(path), header_only=True).parts]

@@ -1,0 +1,89 @@
+"""Plates: any picture file as scene-linear RGB, and the checks that two plates and a rig fit each other.
+
+Out: (H, W, 3) float32, scene-linear, unclipped; negative values and single NaN pixels are kept, for the steps to flag.
+Pixels: (0, 0) is the centre of the top-left pixel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from stereorelight.arrays import Float32
+from stereorelight.camera import Rig
+from stereorelight.errors import PlateError
+from stereorelight.footage.colour import decode, space_of_file
+from stereorelight.footage.exr import find_channel, parts_of_view, read_exr
+from stereorelight.footage.stills import read_still
+
+PICTURE_LAYERS = ("rgba", "rgb", "combined", "beauty", "plate", "color", "colour")  # where a file has no bare R, G, B
+
+
+def _exr_picture(path: Path, view: str | None) -> Float32:
+    parts = parts_of_view(read_exr(path), view, path)
+    names = [name for part in parts for name in part.channels]
+    layers = ["", *(layer for part in parts for layer in part.layers if layer.rpartition(".")[2].lower() in PICTURE_LAYERS)]
+    for layer in layers:
+        planes = [find_channel(parts, f"{layer}.{c}" if layer else c) for c in "RGB"]
+        got = [plane for plane in planes if plane is not None]
+        if len(got) == 3 and len({plane.shape for plane in got}) == 1:
+            return np.ascontiguousarray(np.stack(got, axis=-1))
+    if "RY" in names or "BY" in names:
+        raise PlateError(f"{path}: is a luminance-chroma EXR; export it as RGB")
+    gray = find_channel(parts, "Y")
+    if gray is not None:
+        return np.ascontiguousarray(np.repeat(gray[..., None], 3, axis=2))
+    raise PlateError(f"{path}: has no R, G, B to take as the plate, only {', '.join(names[:12])}; export the picture as RGB")
+
+
+def read_plate(path: str | Path, *, colour_space: str = "auto", view: str | None = None) -> Float32:
+    """A picture file as scene-linear (H, W, 3) float32.
+
+    colour_space : how the file is encoded, see colour.known_spaces; "auto" takes EXR and float TIFF as linear, others as sRGB.
+    view         : the eye to take from a multi-view EXR; its first view where not given.
+    Raises       : PlateError for a file that cannot be read or has no finite pixel; ShotError for an unknown colour_space.
+    """
+    path = Path(path)
+    # A misspelt space is told before a large file is read.
+    space = space_of_file(path, is_float=False, space=colour_space)
+    if path.suffix.lower() == ".exr":
+        picture = _exr_picture(path, view)
+    else:
+        still = read_still(path)
+        picture, space = still.rgb, space_of_file(path, is_float=still.is_float, space=colour_space)
+    plate = decode(picture, space)
+    if not np.isfinite(plate).any():
+        raise PlateError(f"{path}: every pixel is NaN or infinite; render or export the plate again")
+    return plate
+
+
+def read_pair(left_path: str | Path, right_path: str | Path, *, colour_space: str = "auto", rig: Rig | None = None) -> tuple[Float32, Float32]:
+    """Both plates, scene-linear and of one size; a single multi-view EXR may be given for both eyes.
+
+    Raises: PlateError as `read_plate` and `check_pair`.
+    """
+    same = Path(left_path) == Path(right_path)
+    left = read_plate(left_path, colour_space=colour_space, view="left" if same else None)
+    right = read_plate(right_path, colour_space=colour_space, view="right" if same else None)
+    check_pair(left, right, left_name=str(left_path), right_name=str(right_path), rig=rig)
+    return left, right
+
+
+def check_pair(left: Float32, right: Float32, *, left_name: str = "left", right_name: str = "right", rig: Rig | None = None) -> None:
+    """Raise PlateError where a plate's size is not its camera's, or, with no rig, not the other eye's."""
+    plates = ((left_name, left, "left"), (right_name, right, "right"))
+    if rig is not None:
+        cameras = (rig.left, rig.right)
+        for (name, plate, eye), camera in zip(plates, cameras):
+            if plate.shape[:2] != camera.size_hw:
+                is_size, wanted = f"{plate.shape[1]} x {plate.shape[0]}", f"{camera.size[0]} x {camera.size[1]}"
+                raise PlateError(f"{name}: is {is_size} pixels, but the rig's {eye} camera is {wanted}; give the plate or the rig of that size")
+        return
+    if left.shape[:2] != right.shape[:2]:
+        sizes = f"{right.shape[1]} x {right.shape[0]} pixels, but {left_name} is {left.shape[1]} x {left.shape[0]}"
+        raise PlateError(f"{right_name}: is {sizes}; export both eyes at one size")
+
+
+def check_sizes(left: Float32, right: Float32, rig: Rig) -> None:
+    """`check_pair` for plates that have no names."""
+    check_pair(left, right, rig=rig)
