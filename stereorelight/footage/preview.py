@@ -52,7 +52,7 @@ def colour_table() -> UInt8:
     Computed in Oklab (B. Ottosson, 2020), so that equal steps look equal.
     """
     t = np.linspace(0, 1, 256)
-    lightness, hue, chroma = 0.28 + 0.66 * t, np.radians(295 - 190 * t), 0.07 + 0.09 * np.sin(np.pi * (0.15 + 0.7 * t))
+    lightness, hue, chroma = 0.28 + 0.66 * t, np.radians(295 - 190 * t), np.full_like(t, 0.09)  # as strong as stays inside sRGB
     a, b = chroma * np.cos(hue), chroma * np.sin(hue)
     lms = np.stack([lightness + 0.3963377774 * a + 0.2158037573 * b, lightness - 0.1055613458 * a - 0.0638541728 * b])
     lms = np.concatenate([lms, (lightness - 0.0894841775 * a - 1.2914855480 * b)[None]]) ** 3
@@ -64,7 +64,7 @@ def colour_table() -> UInt8:
 
 def plate_picture(linear: Float32, *, exposure_stops: float = 0.0) -> UInt8:
     """A scene-linear (H, W, 3) plate as sRGB; highlights above 0.8 roll off smoothly; NaN and inf are checkered."""
-    bad = ~np.isfinite(linear).all(axis=-1)
+    bad: Bool = np.logical_not(np.isfinite(linear).all(axis=-1))
     x = np.where(bad[..., None], np.float32(0), linear) * np.float32(2.0**exposure_stops)
     over = np.maximum(x - KNEE, 0)
     rolled = np.minimum(x, KNEE) + (1 - KNEE) * (1 - np.exp(-over / (1 - KNEE)))
