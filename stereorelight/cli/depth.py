@@ -1,0 +1,73 @@
+"""`stereorelight depth`: two plates and a rig to Z, confidence and reasons on the original plate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from stereorelight.cli.common import eye_option, force_option, frames_option, json_option, out_option, report, rig_option, space_option
+
+
+@click.command("depth")
+@click.argument("left")
+@click.argument("right")
+@rig_option
+@out_option
+@eye_option
+@click.option("--quality", default="standard", show_default=True, help="draft, standard or fine.")
+@click.option("--near", "near_m", type=float, metavar="M", help="Nearest distance to search, metres; found from the plates when left out.")
+@click.option("--far", "far_m", type=float, metavar="M", help="Farthest one.")
+@frames_option
+@space_option
+@force_option
+@json_option
+def command(
+    left: str,
+    right: str,
+    rig_path: Path,
+    out: str,
+    eye: Literal["left", "right"],
+    quality: str,
+    near_m: float | None,
+    far_m: float | None,
+    frames: str | None,
+    colour_space: str,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Z of LEFT and RIGHT on the original plate of one eye.
+
+    LEFT and RIGHT are pictures, or patterns such as plates/left.####.exr.  Writes an EXR with Z (metres along the
+    optical axis), confidence and flags.
+    """
+    from dataclasses import replace
+
+    from stereorelight.cli.common import outputs_for
+    from stereorelight.cli.progress import Bar
+    from stereorelight.footage.frames import write_frame
+    from stereorelight.interchange.rigs import read_rig
+    from stereorelight.shot.pairs import flip_word, pairs, read_upright
+    from stereorelight.shot.steps import depth_figures
+    from stereorelight.stereo.depth import recover
+    from stereorelight.stereo.rectify import rectification
+    from stereorelight.stereo.settings import DepthSettings
+
+    settings = DepthSettings(quality=quality, near_m=near_m, far_m=far_m)
+    rectified = rectification(read_rig(rig_path))
+    found = pairs(left, right, frames=frames)
+    paths = outputs_for(out, [pair.number for pair in found], force=force)
+    results = []
+    with Bar("depth", total=len(found)) as bar:
+        for pair, path in zip(found, paths):
+            bar.note(pair.name)
+            plates = read_upright(pair, rectified, colour_space=colour_space)
+            frame = recover(*plates, rectified, settings=settings, eye=eye).frame
+            write_frame(path, replace(frame, number=pair.number, metadata=flip_word(rectified, eye)), force=force)
+            results.append({"frame": pair.number, "file": str(path), **depth_figures(frame)})
+            bar.note(pair.name, advance=1)
+    first = results[0]
+    where = first["file"] if len(results) == 1 else f"{len(results)} frames, first {first['file']}"
+    middle = f", median {first['median_m']:g} m" if "median_m" in first else ""
+    report({"frames": results}, f"depth: cover {first['cover_percent']:g} %{middle} -> {where}", as_json=as_json)

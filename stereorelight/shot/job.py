@@ -1,0 +1,128 @@
+"""One frame of a shot: its files' names, and its values, each made once or read from the file that holds it.
+
+Plates are upright (a mirrored eye is flipped back) and scene-linear; all passes lie on the ORIGINAL left plate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stereorelight.arrays import Float32
+from stereorelight.camera import Camera
+from stereorelight.comp import relight
+from stereorelight.footage.frames import read_frame
+from stereorelight.footage.plates import read_plate
+from stereorelight.light.shade import light_layers
+from stereorelight.passes import Frame
+from stereorelight.shot.depths import surface_of
+from stereorelight.shot.pairs import Pair, flip_word, read_upright
+from stereorelight.shot.receipt import versions
+from stereorelight.shot.schema import Shot
+from stereorelight.stereo.depth import recover
+from stereorelight.stereo.rectify import Rectification
+
+MATCH_NOISE_PX = 0.05  # what a good disparity is off by; nearer to it, a window need not grow
+
+
+@dataclass(kw_only=True, eq=False)
+class FrameJob:
+    """What the steps of one frame share.
+
+    preview_range_m : nearest and farthest distance of the depth previews, the same for the whole shot.
+    """
+
+    shot: Shot
+    rectification: Rectification
+    pair: Pair
+    preview_range_m: tuple[float, float] = (1.0, 10.0)
+    search_figures: dict[str, Any] = field(default_factory=dict)
+
+    def path(self, kind: str, suffix: str = "exr", *, what: str = "") -> Path:
+        """NAME[.what][.frame].suffix in the folder of that kind."""
+        number = "" if self.pair.number is None else f".{self.pair.number:04d}"
+        return self.shot.folder / kind / f"{self.shot.name}{'.' + what if what else ''}{number}.{suffix}"
+
+    @property
+    def depth_path(self) -> Path:
+        return self.path("depth")
+
+    @property
+    def passes_path(self) -> Path:
+        return self.path("passes")
+
+    @property
+    def relit_path(self) -> Path:
+        return self.path("relit")
+
+    @property
+    def receipt_path(self) -> Path:
+        return self.path("receipts", "json")
+
+    def preview_path(self, what: str) -> Path:
+        return self.path("previews", "png", what=what)
+
+    @property
+    def camera(self) -> Camera:
+        return self.rectification.original.left
+
+    def words(self, step: str) -> dict[str, str]:
+        """What a file's header says of how it was made."""
+        return {"software": f"stereorelight {versions()['stereorelight']}", "shot": self.shot.name, "step": step} | flip_word(self.rectification, "left")
+
+    @cached_property
+    def plates(self) -> tuple[Float32, Float32]:
+        """Left and right plate, upright, scene-linear.  Raises PlateError."""
+        return read_upright(self.pair, self.rectification, colour_space=self.shot.tables.plates.colour_space)
+
+    @cached_property
+    def plate(self) -> Float32:
+        """The left plate alone: what is relit."""
+        if "plates" in self.__dict__:
+            return self.plates[0]
+        view = "left" if self.pair.left == self.pair.right else None
+        plate = read_plate(self.pair.left, colour_space=self.shot.tables.plates.colour_space, view=view)
+        return self.rectification.upright(plate, "left")
+
+    def recovered(self) -> Frame:
+        """Z, confidence and flags, found now."""
+        found = recover(*self.plates, self.rectification, settings=self.shot.depth)
+        frame = replace(found.frame, number=self.pair.number, metadata=self.words("depth"))
+        self.search_figures = {"searched_px": [found.search.low, found.search.high], "vertical_px": _rounded(found.vertical_px)}
+        self.__dict__["depth"] = frame
+        return frame
+
+    @cached_property
+    def depth(self) -> Frame:
+        """Z, confidence and flags, from their file."""
+        return replace(read_frame(self.depth_path), camera=self.camera)
+
+    def made_surface(self) -> Frame:
+        """Z, P and N, made now."""
+        noise = MATCH_NOISE_PX / (self.rectification.rig.left.fx * self.rectification.rig.baseline_m)
+        frame = surface_of(self.depth, method=self.shot.tables.surface.method, noise_per_m=noise)
+        frame = replace(frame, number=self.pair.number, metadata=self.words("passes"))
+        self.__dict__["surface"] = frame
+        return frame
+
+    @cached_property
+    def surface(self) -> Frame:
+        """Z, P and N, from their file."""
+        return replace(read_frame(self.passes_path), camera=self.camera)
+
+    @cached_property
+    def layers(self) -> dict[str, Float32]:
+        """Every light's diffuse and specular layer; albedo is the plate."""
+        return light_layers(self.surface["P"], self.surface["N"], self.plate, self.shot.lights, camera=self.camera)
+
+    @cached_property
+    def beauty(self) -> Float32:
+        """The relit plate."""
+        return relight(self.plate, self.layers, plate_gain=self.shot.tables.relight.plate_gain)
+
+
+def _rounded(value: float) -> float | None:
+    return round(value, 3) if np.isfinite(value) else None

@@ -1,0 +1,62 @@
+"""The PNG previews of a frame: what a person looks at to judge plate, depth, normals and light.
+
+In: a `FrameJob`.  Out: name to (H, W, 3) uint8 sRGB.  Ranges are the shot's, not the frame's, so that nothing pumps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stereorelight.arrays import Float32, UInt8
+from stereorelight.camera import Camera
+from stereorelight.footage import preview
+from stereorelight.shot.job import FrameJob
+from stereorelight.shot.schema import Shot
+
+SCENE = ("plate", "depth", "confidence", "flags", "P", "N")
+CELL_PX = 480  # width of one picture on the contact sheet
+LIGHT = "light_"
+
+
+def scene_pictures(job: FrameJob) -> dict[str, UInt8]:
+    """The plate and everything that was recovered from it; no light changes these."""
+    near, far = job.preview_range_m
+    return {
+        "plate": preview.plate_picture(job.plate),
+        "depth": preview.depth_picture(job.depth["Z"], near=near, far=far),
+        "confidence": preview.confidence_picture(job.depth["confidence"]),
+        "flags": preview.flags_picture(job.depth["flags"]),
+        "P": position_picture(job.surface["P"], job.camera, far_m=far),
+        "N": preview.normals_picture(job.surface["N"]),
+    }
+
+
+def position_picture(P: Float32, camera: Camera, *, far_m: float) -> UInt8:
+    """P as colour over the box that the camera sees up to `far_m`: red to the right, green up, blue towards the camera."""
+    corners = camera.unproject(camera.pixel_grid()[:: camera.size[1] - 1 or 1, :: camera.size[0] - 1 or 1].reshape(-1, 2), far_m)
+    reach = np.nanmax(np.abs(corners), axis=0)
+    low, high = np.array([-reach[0], -reach[1], -far_m]), np.array([reach[0], reach[1], 0.0])
+    share = (P.astype(np.float64) - low) / (high - low)
+    picture = np.rint(np.clip(np.nan_to_num(share), 0, 1) * 255).astype(np.uint8)
+    picture[~np.isfinite(P).all(axis=-1)] = preview.MISSING
+    return picture
+
+
+def relit_names(shot: Shot) -> list[str]:
+    """The names of `relit_pictures`."""
+    return [*(LIGHT + light.name for light in shot.lights if light.enabled), "relit", "before_after", "contact"]
+
+
+def relit_pictures(job: FrameJob) -> dict[str, UInt8]:
+    """Each light alone (diffuse and specular), the relit plate, before and after, and everything on one sheet."""
+    made: dict[str, UInt8] = {}
+    for light in job.shot.lights:
+        if light.enabled:
+            parts = [layer for name, layer in job.layers.items() if name.rpartition("_")[0] == LIGHT + light.name]
+            made[LIGHT + light.name] = preview.light_picture(np.sum(parts, axis=0, dtype=np.float32))
+    made["relit"] = preview.plate_picture(job.beauty)
+    scene = scene_pictures(job)
+    made["before_after"] = preview.before_after(scene["plate"], made["relit"])
+    sheet = [("plate", scene["plate"]), ("relit", made["relit"]), *((n, p) for n, p in scene.items() if n != "plate")]
+    sheet += [(n, p) for n, p in made.items() if n.startswith(LIGHT)]
+    made["contact"] = preview.contact_sheet(sheet, columns=3, width=CELL_PX)
+    return made

@@ -1,0 +1,251 @@
+"""The tables of a shot file and of a light file, checked key by key.
+
+In: a TOML file.  Out: a frozen `Shot` whose paths are absolute, or one ShotError that names the file, the line, the key
+and the nearest known one.  Lengths in metres, angles in degrees.  What each key means stands in shot/template.py, too,
+where the user reads it."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+import types
+import typing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from stereorelight.errors import ShotError, StereoRelightError, nearest_hint
+from stereorelight.light.lights import Light, lights_from_dicts
+from stereorelight.stereo.settings import DepthSettings
+
+VERSION = 1
+HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
+KEY = re.compile(r"^\s*[\"']?([A-Za-z0-9_-]+)[\"']?\s*(?:=|\.)")
+NAME = r"^[A-Za-z][A-Za-z0-9_-]*$"
+T = TypeVar("T", bound=BaseModel)
+
+
+class Table(BaseModel):
+    """One table of a shot file: unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class PlatesTable(Table):
+    left: str = Field(min_length=1)
+    right: str = Field(min_length=1)
+    frames: str | None = None
+    colour_space: str = "auto"
+
+
+class RigTable(Table):
+    file: str = Field(default="rig.json", min_length=1)
+
+
+class DepthTable(Table):
+    quality: Literal["draft", "standard", "fine"] = "standard"
+    near_m: float | None = None
+    far_m: float | None = None
+    consistency_px: float = 1.0
+    fill: bool = True
+
+
+class SurfaceTable(Table):
+    method: Literal["plane", "difference"] = "plane"
+
+
+class RelightTable(Table):
+    plate_gain: float = Field(default=1.0, ge=0)
+
+
+class OutputTable(Table):
+    folder: str = Field(default="out", min_length=1)
+    name: str | None = Field(default=None, pattern=NAME)
+    colour: Literal["half", "float"] = "half"
+    previews: bool = True
+    preview_near_m: float | None = Field(default=None, gt=0)
+    preview_far_m: float | None = Field(default=None, gt=0)
+
+
+class ShotTables(Table):
+    version: Literal[1] = VERSION
+    plates: PlatesTable
+    rig: RigTable = RigTable()
+    depth: DepthTable = DepthTable()
+    surface: SurfaceTable = SurfaceTable()
+    relight: RelightTable = RelightTable()
+    lights: list[dict[str, Any]] = []
+    output: OutputTable = OutputTable()
+
+
+class LightTables(Table):
+    lights: list[dict[str, Any]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """A shot file that has been read and checked.
+
+    path   : the shot file; every path in it is relative to its folder.
+    tables : the file's tables with defaults filled in.
+    depth  : the settings of depth recovery.
+    lights : the lights, in the file's order, those that are off included.
+    """
+
+    path: Path
+    tables: ShotTables
+    depth: DepthSettings
+    lights: tuple[Light, ...]
+
+    def resolved(self, text: str) -> Path:
+        """`text` as a path from the shot file's folder."""
+        return self.path.parent / text
+
+    @property
+    def folder(self) -> Path:
+        """Where results go."""
+        return self.resolved(self.tables.output.folder)
+
+    @property
+    def name(self) -> str:
+        """First part of every result's file name: [output] name, or the shot file's folder where that is a word."""
+        if self.tables.output.name:
+            return self.tables.output.name
+        folder = re.sub(r"[^A-Za-z0-9_-]+", "_", self.path.resolve().parent.name).strip("_")
+        return folder if re.match(NAME, folder) else "shot"
+
+
+def key_lines(text: str) -> dict[tuple[str | int, ...], int]:
+    """Line (from 1) of every table header and key of a TOML text: ("depth", "quality"), ("lights", 0, "name")."""
+    lines: dict[tuple[str | int, ...], int] = {}
+    counts: dict[str, int] = {}
+    table: tuple[str | int, ...] = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := HEADER.match(line):
+            name = header[2]
+            if header[1] == "[[":
+                counts[name] = counts.get(name, -1) + 1
+                table = (name, counts[name])
+                lines.setdefault((name,), number)
+            else:
+                table = tuple(part.strip().strip("\"'") for part in name.split("."))
+            lines.setdefault(table, number)
+        elif key := KEY.match(line):
+            lines.setdefault((*table, key[1]), number)
+    return lines
+
+
+def _field_at(model: type[BaseModel], loc: tuple[str | int, ...]) -> tuple[type[BaseModel], Any]:
+    """The innermost table that `loc` lies in, and the annotation of the key it names (None where unknown)."""
+    here, annotation = model, None
+    for part in loc:
+        field = here.model_fields.get(str(part))
+        annotation = field.annotation if field else None
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            here = annotation
+    return here, annotation
+
+
+def _choices(annotation: Any) -> list[str]:
+    origin = typing.get_origin(annotation)
+    if origin is Literal:
+        return [str(a) for a in typing.get_args(annotation)]
+    if origin in (typing.Union, types.UnionType):
+        return [c for a in typing.get_args(annotation) for c in _choices(a)]
+    return []
+
+
+def _where(path: Path, lines: dict[tuple[str | int, ...], int], loc: tuple[str | int, ...]) -> str:
+    for end in range(len(loc), 0, -1):
+        if loc[:end] in lines:
+            return f"{path}:{lines[loc[:end]]}"
+    return str(path)
+
+
+def _key_path(loc: tuple[str | int, ...]) -> str:
+    words = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc]
+    return "".join(words).lstrip(".")
+
+
+def _explained(error: Any, model: type[BaseModel]) -> str:
+    """One pydantic complaint in our words."""
+    loc = tuple(error["loc"])
+    table, annotation = _field_at(model, loc)
+    kind, value = error["type"], error["input"]
+    if kind == "extra_forbidden":
+        known = [n for n in table.model_fields if n != "version"]
+        what = "table" if isinstance(value, (dict, list)) and len(loc) == 1 else "key"
+        return f"unknown {what} {str(loc[-1])!r}{nearest_hint(str(loc[-1]), known)}"
+    if kind == "missing":
+        what = "table" if len(loc) == 1 else "key"
+        return f"{what} {_key_path(loc)!r} is missing; add it, as in the shot file that `stereorelight demo` writes"
+    if kind == "literal_error":
+        return f"{_key_path(loc)} = {value!r} is unknown{nearest_hint(str(value), _choices(annotation))}"
+    if kind == "string_pattern_mismatch":
+        return f"{_key_path(loc)} = {value!r}: use letters, digits, _ and -, beginning with a letter"
+    message = str(error["msg"]).replace("Input should be a valid", "must be a").replace("Input should be", "must be")
+    return f"{_key_path(loc)} = {value!r}: {message[0].lower()}{message[1:]}"
+
+
+def _read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    try:
+        text = path.read_text(encoding="utf-8")
+        return tomllib.loads(text), text
+    except FileNotFoundError:
+        raise ShotError(f"{path}: file missing; `stereorelight demo` and `stereorelight synth` write one to begin with") from None
+    except OSError as error:
+        raise ShotError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from None
+    except UnicodeDecodeError:
+        raise ShotError(f"{path}: not a text file; a shot file is TOML") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ShotError(f"{path}: not valid TOML: {str(error)[0].lower()}{str(error)[1:]}") from None
+
+
+def _checked_tables(path: Path, model: type[T]) -> tuple[T, dict[tuple[str | int, ...], int]]:
+    data, text = _read_toml(path)
+    lines = key_lines(text)
+    try:
+        return model.model_validate(data), lines
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        raise ShotError(f"{_where(path, lines, tuple(first['loc']))}: {_explained(first, model)}") from None
+
+
+def _checked_lights(path: Path, tables: list[dict[str, Any]], lines: dict[tuple[str | int, ...], int]) -> tuple[Light, ...]:
+    """The lights of a file; a complaint names the line of the key that it speaks of, or of the light."""
+    for index, table in enumerate(tables):
+        try:
+            lights_from_dicts([table])
+        except StereoRelightError as error:
+            key = next((k for k in table if re.search(rf"\b{re.escape(k)}\b", str(error))), None)
+            loc = ("lights", index) if key is None else ("lights", index, key)
+            raise ShotError(f"{_where(path, lines, loc)}: {error}") from None
+    try:
+        return tuple(lights_from_dicts(tables))
+    except StereoRelightError as error:
+        raise ShotError(f"{path}: {error}") from None
+
+
+def read_lights(path: str | Path) -> tuple[Light, ...]:
+    """The lights in a file that holds [[lights]] and nothing else.  Raises ShotError naming file and line."""
+    path = Path(path)
+    tables, lines = _checked_tables(path, LightTables)
+    return _checked_lights(path, tables.lights, lines)
+
+
+def read_shot(path: str | Path) -> Shot:
+    """The shot in file `path`, every key checked.  Raises ShotError naming file, line, key and the nearest known one."""
+    path = Path(path)
+    tables, lines = _checked_tables(path, ShotTables)
+    try:
+        depth = DepthSettings(**tables.depth.model_dump())
+    except StereoRelightError as error:
+        key = next((k for k in DepthTable.model_fields if k in str(error)), "quality")
+        raise ShotError(f"{_where(path, lines, ('depth', key))}: {error}") from None
+    output = tables.output
+    if output.preview_near_m and output.preview_far_m and output.preview_near_m >= output.preview_far_m:
+        where = _where(path, lines, ("output", "preview_near_m"))
+        raise ShotError(f"{where}: output.preview_near_m must be less than preview_far_m, got {output.preview_near_m:g} and {output.preview_far_m:g}")
+    return Shot(path=path, tables=tables, depth=depth, lights=_checked_lights(path, tables.lights, lines))

@@ -1,0 +1,155 @@
+"""The steps of a run in their order, each a table row: what it reads, what it writes, what does it.
+
+In: a `FrameJob`, one frame of one shot.  Out: files, and figures for the receipt.  Values go from step to step in
+memory; a step that is done again while those before it stood reads their files, which hold the same bits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stereorelight.footage.frames import write_frame
+from stereorelight.footage.stills import write_still
+from stereorelight.light.lights import to_dict
+from stereorelight.passes import Flag, Frame
+from stereorelight.shot import pictures
+from stereorelight.shot.job import FrameJob
+from stereorelight.shot.schema import Shot
+
+Figures = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """One step of a run.
+
+    after    : the steps whose results it reads.      sources  : whether it reads the plates and the rig itself.
+    rooms    : the code that makes its result.        settings : the plain values of the shot file that it reads.
+    files    : what it writes for a frame.            do       : makes and writes them; returns figures.
+    wanted   : whether the shot asks for it.          ranged   : whether it reads the shot's preview range.
+    """
+
+    name: str
+    after: tuple[str, ...] = ()
+    sources: bool = False
+    rooms: tuple[str, ...]
+    settings: Callable[[Shot], Any]
+    files: Callable[[FrameJob], list[Path]]
+    do: Callable[[FrameJob], Figures]
+    wanted: Callable[[Shot], bool] = lambda shot: True
+    ranged: bool = False
+
+
+def _percent(share: float) -> float:
+    return round(100 * float(share), 2)
+
+
+def depth_figures(frame: Frame) -> Figures:
+    """Cover, guesses, distances (m) and mean confidence of a depth."""
+    Z, known = frame["Z"], np.isfinite(frame["Z"])
+    figures: Figures = {"cover_percent": _percent(known.mean())}
+    if "flags" in frame:
+        figures["filled_percent"] = _percent(((frame["flags"] & Flag.FILLED) != 0).mean())
+    if known.any():
+        near, middle, far = np.percentile(Z[known], (2, 50, 98))
+        figures |= {"near_m": round(float(near), 4), "median_m": round(float(middle), 4), "far_m": round(float(far), 4)}
+    if "confidence" in frame:
+        figures["mean_confidence"] = round(float(np.nanmean(frame["confidence"])), 4)
+    return figures
+
+
+def surface_figures(frame: Frame) -> Figures:
+    """Cover of P and N."""
+    return {f"{name}_cover_percent": _percent(np.isfinite(frame[name]).all(axis=-1).mean()) for name in ("P", "N")}
+
+
+def relight_figures(layers: Mapping[str, np.ndarray], beauty: np.ndarray) -> Figures:
+    """Largest value, pixels without one, and each layer's mean and the share of the picture that it reaches."""
+    known = np.isfinite(beauty).all(axis=-1)
+    figures: Figures = {
+        "largest": round(float(beauty[known].max()), 4) if known.any() else None,
+        "unknown_percent": _percent(1 - known.mean()),
+    }
+    for name, layer in layers.items():
+        figures[name] = {"mean": round(float(layer.mean()), 6), "reaches_percent": _percent((layer.max(axis=-1) > 1e-4).mean())}
+    return figures
+
+
+def _do_depth(job: FrameJob) -> Figures:
+    write_frame(job.depth_path, job.recovered(), force=True)
+    return depth_figures(job.depth) | job.search_figures
+
+
+def _do_passes(job: FrameJob) -> Figures:
+    frame = job.made_surface()
+    write_frame(job.passes_path, frame, force=True)
+    return surface_figures(frame)
+
+
+def _do_relight(job: FrameJob) -> Figures:
+    frame = Frame(
+        passes={"beauty": job.beauty, **job.layers},
+        camera=job.camera,
+        number=job.pair.number,
+        metadata=job.words("relight"),
+    )
+    write_frame(job.relit_path, frame, half=job.shot.tables.output.colour == "half", force=True)
+    return relight_figures(job.layers, job.beauty)
+
+
+def _write_pictures(job: FrameJob, made: Mapping[str, np.ndarray]) -> Figures:
+    for name, picture in made.items():
+        write_still(job.preview_path(name), picture, force=True)
+    return {}
+
+
+STEPS: tuple[Step, ...] = (
+    Step(
+        name="depth",
+        sources=True,
+        rooms=("stereo", "footage", "engine", "shot/job.py"),
+        settings=lambda shot: [shot.tables.depth.model_dump(), shot.tables.plates.colour_space],
+        files=lambda job: [job.depth_path],
+        do=_do_depth,
+    ),
+    Step(
+        name="passes",
+        after=("depth",),
+        rooms=("surface", "footage", "engine", "shot/job.py"),
+        settings=lambda shot: shot.tables.surface.model_dump(),
+        files=lambda job: [job.passes_path],
+        do=_do_passes,
+    ),
+    Step(
+        name="relight",
+        after=("passes",),
+        rooms=("light", "comp.py", "footage", "engine", "shot/job.py"),
+        settings=lambda shot: [[to_dict(light) for light in shot.lights], shot.tables.relight.model_dump(), shot.tables.output.colour],
+        files=lambda job: [job.relit_path],
+        do=_do_relight,
+    ),
+    Step(
+        name="previews",
+        after=("depth", "passes"),
+        rooms=("footage", "shot/pictures.py"),
+        settings=lambda shot: None,
+        files=lambda job: [job.preview_path(name) for name in pictures.SCENE],
+        do=lambda job: _write_pictures(job, pictures.scene_pictures(job)),
+        wanted=lambda shot: shot.tables.output.previews,
+        ranged=True,
+    ),
+    Step(
+        name="relit previews",
+        after=("previews", "relight"),
+        rooms=("footage", "shot/pictures.py"),
+        settings=lambda shot: None,
+        files=lambda job: [job.preview_path(name) for name in pictures.relit_names(job.shot)],
+        do=lambda job: _write_pictures(job, pictures.relit_pictures(job)),
+        wanted=lambda shot: shot.tables.output.previews,
+        ranged=True,
+    ),
+)
