@@ -20,8 +20,9 @@ from stereorelight.engine.locks import KERNEL_LOCK
 BLOCK = 64  # rows a task: high enough that starting the running sums costs little
 SUMS = 11
 FAST = {"reassoc", "contract", "arcp", "nsz"}  # never nnan: NaN means unknown
-BAD = 1e300
-OWN = 0.25  # what the pixel's own misfit counts beside its window's: is it of this surface at all?
+BAD = 1e30  # residual variance of a window that cannot say
+OWN_REACH = 9.0  # three sigma: beyond it the pixel is not of the window's plane
+EXACT = 1e-18  # relative residual variance below which a fit is as exact as sums of doubles can tell
 SHIFT_PRICE = 1.5  # a shifted window must fit this much better than the centred one
 OWN_RISK = 0.5  # what the pixel's own disagreement counts beside its surroundings'
 ROUNDING = 1e-13  # float32 normals squared: less disagreement than this means nothing
@@ -116,40 +117,41 @@ def _fit(w, x, y, q, r, least, a, b, c, res):
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
-def _take_row(shift, price, w, x, y, a, b, c, res, best, oa, ob, oc):
-    """Keep the shifted window's plane where it fits better than the best so far."""
+def _take_row(shift, price, w, x, y, a, b, c, res, total, oa, ob, oc):
+    """Add the shifted window's plane, weighed by one over the square of its misfit's variance."""
     n = w.size
     for i in range(max(0, -shift), min(n, n - shift)):
         j = i + shift
         own = w[i] - (a[j] * x[i] + b[j] * y[i] + c[j])
-        score = (res[j] + OWN * own * own) * price
-        better = score < best[i]
-        best[i] = score if better else best[i]
-        oa[i] = a[j] if better else oa[i]
-        ob[i] = b[j] if better else ob[i]
-        oc[i] = c[j] if better else oc[i]
+        # Noise of the pixel itself must not choose the window; only a pixel that cannot be of the window's plane speaks.
+        off = own * own - OWN_REACH * res[j]
+        s = (res[j] + (off if off > 0 else 0.0) + EXACT) * price
+        k = 1.0 / (s * s)
+        total[i] += k
+        oa[i] += k * a[j]
+        ob[i] += k * b[j]
+        oc[i] += k * c[j]
 
 
 @numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
-def _choose(w, w0, x, y, r, a, b, c, res, normals):
-    """Unit scene-frame normals of the best of nine windows; NaN where none can say."""
+def _choose(w, x, y, r, a, b, c, res, normals):
+    """Unit scene-frame normals of the nine windows that hold each pixel, the best fitting ones first; NaN where none can say."""
     h, wd = w.shape
     for v in numba.prange(h):
-        best = np.full(wd, BAD)
+        total = np.zeros(wd)
         oa = np.zeros(wd)
         ob = np.zeros(wd)
         oc = np.zeros(wd)
-        _take_row(0, 1.0, w[v], x[v], y[v], a[v], b[v], c[v], res[v], best, oa, ob, oc)
         for j in range(-1, 2):
             u = v + j * r
             if u >= 0 and u < h:
                 for i in range(-1, 2):
-                    if i != 0 or j != 0:
-                        _take_row(i * r, SHIFT_PRICE, w[v], x[v], y[v], a[u], b[u], c[u], res[u], best, oa, ob, oc)
+                    price = SHIFT_PRICE if i != 0 or j != 0 else 1.0
+                    _take_row(i * r, price, w[v], x[v], y[v], a[u], b[u], c[u], res[u], total, oa, ob, oc)
         for i in range(wd):
+            k = oc[i] + total[i]
             # The plane's own value on this ray must be in front of the camera, or its normal faces away.
-            k = oc[i] + w0
-            if best[i] < BAD and oa[i] * x[v, i] + ob[i] * y[v, i] + k > 0:
+            if total[i] > 0 and oa[i] * x[v, i] + ob[i] * y[v, i] + k > 0:
                 s = 1.0 / np.sqrt(oa[i] * oa[i] + ob[i] * ob[i] + k * k)
                 normals[v, i, 0] = -oa[i] * s
                 normals[v, i, 1] = ob[i] * s
@@ -238,7 +240,7 @@ def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple
     q = np.where(known & (weight > 0), weight, 0.0)
     x, y = (np.where(known, rays[..., k], 0.0) for k in (0, 1))
     w0 = float(inverse[known].mean())
-    centred = np.where(known, inverse - w0, 0.0)  # small numbers keep the running sums exact
+    centred = np.where(known, inverse / w0 - 1.0, 0.0)  # free of units, and small numbers keep the running sums exact
     a, b, c, res, delta, count, risk = (np.empty((h, w)) for _ in range(7))
     total = np.zeros((h, w, 3))
     fine: Float32 | None = None
@@ -246,11 +248,11 @@ def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple
         for k, r in enumerate(radii):
             _fit(centred, x, y, q, r, max(5.0, 0.25 * (2 * r + 1) ** 2), a, b, c, res)
             coarse = np.empty((h, w, 3), dtype=np.float32)
-            _choose(centred, w0, x, y, r, a, b, c, res, coarse)
+            _choose(centred, x, y, r, a, b, c, res, coarse)
             if fine is not None:
                 _disagreement(fine, coarse, delta, count)
                 before = risk.copy()
-                _risk(delta, count, 2 * radii[k - 1], _noise_floor(radii[k - 1], noise, rays, inverse), risk)
+                _risk(delta, count, radii[k - 1], _noise_floor(radii[k - 1], noise, rays, inverse), risk)
                 _blend(fine, risk, total)
             fine = coarse
         # Nothing coarser judges the last scale.  Noise falls by 16 from scale to scale; what fell less is shape, and weighs four times more there.
