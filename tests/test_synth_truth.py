@@ -117,27 +117,26 @@ def test_occlusion_against_brute_force(rig_name: str) -> None:
     picks = [tuple(p) for mask in (hidden, open_) for p in rng.permutation(np.argwhere(mask))[:60]]
     solids = [names.index(n) for n in ("skin", "hair", "shirt")]
     target = rig.right_centre_m @ FLIP
-    wrong = 0
+    judged = 0
     for v, u in picks:
         start = made.left["P"][v, u].astype(float)
-        # Start 1 mm off the surface, so that the walk does not begin inside what it stands on.
-        start = start + 1e-3 * made.left["N"][v, u]
-        path = start + np.linspace(0, 1, 6000)[:, None] * (target - start)
-        inside = False
-        for n in solids:
-            R, origin = tables.objects[n, 4:13].reshape(3, 3), tables.objects[n, 13:16]
-            local = (path - origin) @ R.T
-            near = np.linalg.norm(local - tables.objects[n, 17:20], axis=-1) < tables.objects[n, 16]
-            inside = inside or any(raycast.field(tables.objects, n, tables.primitives, *p) < 0 for p in local[near])
+        along = (target - start) / np.linalg.norm(target - start)
+        path = start + np.arange(0.002, np.linalg.norm(target - start), 0.0005)[:, None] * along
+        clearance = np.inf  # least value of any field on the way: the walk begins 2 mm off the surface that it leaves
         for n, thing in enumerate(scene.objects):
             R, origin = tables.objects[n, 4:13].reshape(3, 3), tables.objects[n, 13:16]
             local = (path - origin) @ R.T
-            if thing.kind == "box":
-                inside = inside or bool((np.abs(local) < thing.size).all(axis=-1).any())
+            if n in solids:
+                local = local[np.linalg.norm(local - tables.objects[n, 17:20], axis=-1) < tables.objects[n, 16]]
+                clearance = min([clearance, *(raycast.field(tables.objects, n, tables.primitives, *p) for p in local)])
+            elif thing.kind == "box":
+                clearance = min(clearance, (np.abs(local) - thing.size).max(axis=-1).min())
             elif thing.kind == "sphere":
-                inside = inside or bool((np.linalg.norm(local, axis=-1) < thing.size[0]).any())
-        wrong += bool(inside) != bool(hidden[v, u])
-    assert wrong <= 1, f"{wrong} of {len(picks)} differ"  # a graze within the judge's own millimetre
+                clearance = min(clearance, (np.linalg.norm(local, axis=-1) - thing.size[0]).min())
+        if abs(clearance) > 1e-4:  # nearer than this the judge's own steps may pass a graze by
+            judged += 1
+            assert (clearance < 0) == hidden[v, u], (v, u, clearance)
+    assert judged > 0.9 * len(picks)
 
 
 def test_out_of_view_is_the_other_frame() -> None:
