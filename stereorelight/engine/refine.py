@@ -7,19 +7,23 @@ whatever the number of threads."""
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Float32
 from stereorelight.engine.rows import in_row_blocks
 
+Planes = tuple[Float32, Float32, Float32]  # value, slope along x, slope along y
 f4 = np.float32
 BLOCK = 512  # pixels of a row worked on at a time: eleven float32 strips of this length stay in the first-level cache
 FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: missing values must stay testable
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _weigh(z, q, c0, a, b, n, dx, dy, inv_tau2, w, wd):
+def _weigh(z, q, t, c0, a, b, n, dx, dy, inv_tau2, w, wd):
     """Weight w, and weight times difference wd, of the neighbours (dx, dy) of a strip of pixels."""
     for i in range(n):
         d = z[i] - c0[i]
@@ -28,7 +32,7 @@ def _weigh(z, q, c0, a, b, n, dx, dy, inv_tau2, w, wd):
         k = k if k > f4(0) else f4(0)
         k = q[i] * k * k
         w[i] = k
-        wd[i] = k * d
+        wd[i] = k * (t[i] - c0[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
@@ -87,7 +91,7 @@ def _solve(c0, a, b, x0, n, ridge, S, SX, SY, SXX, SXY, SYY, SZ, SZX, SZY, value
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def _planes(first, end, z, q, value, slope_x, slope_y, radius, stride, inv_tau2, ridge, out_value, out_x, out_y):
+def _planes(first, end, z, q, t, value, slope_x, slope_y, radius, stride, inv_tau2, ridge, out_value, out_x, out_y):
     H, W = z.shape
     T = np.empty((16, BLOCK), np.float32)
     for y in range(first, end):
@@ -105,13 +109,30 @@ def _planes(first, end, z, q, value, slope_x, slope_y, radius, stride, inv_tau2,
                     if i1 <= i0:
                         continue
                     m, j0, fdx = i1 - i0, x0 + dx + i0, f4(dx)
-                    _weigh(z[yy, j0 : j0 + m], q[yy, j0 : j0 + m], c0[i0:i1], a[i0:i1], b[i0:i1], m, fdx, f4(dy), inv_tau2, T[14], T[15])
+                    _weigh(
+                        z[yy, j0 : j0 + m],
+                        q[yy, j0 : j0 + m],
+                        t[yy, j0 : j0 + m],
+                        c0[i0:i1],
+                        a[i0:i1],
+                        b[i0:i1],
+                        m,
+                        fdx,
+                        f4(dy),
+                        inv_tau2,
+                        T[14],
+                        T[15],
+                    )
                     _add_weights(T[14], m, fdx, T[9, i0:], T[10, i0:], T[11, i0:])
                     _add_values(T[15], m, fdx, T[12, i0:], T[13, i0:])
                 _add_row(f4(dy), n, T[9], T[10], T[11], T[0], T[1], T[3])
                 _add_row_y(f4(dy), n, T[9], T[10], T[2], T[4], T[5])
                 _add_row_z(f4(dy), n, T[12], T[13], T[6], T[7], T[8])
             _solve(c0, a, b, x0, n, ridge, T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], out_value[y], out_x[y], out_y[y])
+
+
+def _rows(given: tuple[Any, ...], first: int, end: int) -> None:
+    _planes(first, end, *given)
 
 
 def robust_planes(
@@ -122,20 +143,34 @@ def robust_planes(
     stride: int = 2,
     tau_px: float = 1.5,
     passes: int = 2,
-    slopes: tuple[Float32, Float32] | None = None,
-) -> tuple[Float32, Float32, Float32]:
+    slopes: tuple[Float32, ...] | None = None,
+    target: Float32 | None = None,
+) -> Planes:
     """Per pixel the plane through its own surface: (value, d/dx, d/dy), each (H, W) float32.
 
     disparity : (H, W) px, finite everywhere; `weight` (H, W) >= 0 says how far to believe each pixel.
     radius    : half the window, px.  stride: every how many pixels it is sampled (neighbours say nearly the same).
     tau_px    : distance off the plane at which a neighbour stops counting; the first pass takes twice that.
+    target    : what the planes are fitted to, when it is not the disparity that says who belongs to which plane.
     """
     value = disparity
     slope_x, slope_y = slopes if slopes is not None else (np.zeros_like(disparity), np.zeros_like(disparity))
     for k in range(passes):
         tau = tau_px * (2 if k == 0 and slopes is None else 1)
         result = (np.empty_like(disparity), np.empty_like(disparity), np.empty_like(disparity))
-        given = (disparity, weight, value, slope_x, slope_y, radius, stride, f4(1 / tau**2), f4(0.05), *result)
-        in_row_blocks(lambda first, end, given=given: _planes(first, end, *given), disparity.shape[0])
+        given = (
+            disparity,
+            weight,
+            disparity if target is None else target,
+            value,
+            slope_x,
+            slope_y,
+            radius,
+            stride,
+            f4(1 / tau**2),
+            f4(0.05),
+            *result,
+        )
+        in_row_blocks(partial(_rows, given), disparity.shape[0])
         value, slope_x, slope_y = result
     return value, slope_x, slope_y

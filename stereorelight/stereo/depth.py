@@ -20,7 +20,7 @@ from stereorelight.stereo.flow import flow_disparity
 from stereorelight.stereo.match import DisparityRange, match, search_range
 from stereorelight.stereo.proxy import Proxy, matching_proxy
 from stereorelight.stereo.rectify import Rectification
-from stereorelight.stereo.refine import Refined, refine
+from stereorelight.stereo.refine import EFFORTS, Refined, refine
 from stereorelight.stereo.settings import DepthSettings
 
 SMALLEST_DISPARITY_PX = 0.25  # of d + doffs: beyond it, depth is anything up to infinity
@@ -55,16 +55,16 @@ def disparity_of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSetti
     flow = None if settings.quality == "draft" else flow_disparity(proxy)
     dense = found.dense
     if flow is not None:
-        # Where matching found nothing and flow is sure of a value in range, flow fills.
+        # Where matching found nothing and flow, sure of itself, stays near the filtered value, flow fills.
         with np.errstate(invalid="ignore"):
-            useful = ~np.isfinite(found.left) & (np.abs(flow.disparity - dense) <= settings.consistency_px * 2)
+            useful = ~np.isfinite(found.left) & (np.abs(flow.disparity - dense) <= 2 * settings.consistency_px)
         dense = np.where(useful, flow.disparity, dense)
-    refined = refine(proxy, dense, confirmed.astype(np.float32))
+    refined = refine(proxy, dense, confirmed, effort=EFFORTS[settings.quality])
     evidence = belief.evidence(proxy, found, refined, confirmed, None if flow is None else flow.disparity)
     return RectifiedDepth(
         refined=refined,
         confidence=belief.confidence_from_evidence(evidence),
-        flags=belief.reasons(refined, found, confirmed, proxy.right_known, proxy.left_known),
+        flags=belief.reasons(refined, confirmed, proxy.left_known, proxy.right_known),
         vertical_px=float("nan") if flow is None else flow.vertical_px,
     )
 
@@ -118,9 +118,8 @@ def recover(left: Float32, right: Float32, rectification: Rectification, *, sett
     rig = rectification.rig
     search = search_range(proxy, rig, near_m=settings.near_m, far_m=settings.far_m)
     if search.count > proxy.left.shape[1]:
-        raise PlateError(
-            f"disparities from {search.low} to {search.high} px do not fit plates {proxy.left.shape[1]} px wide; check near_m and far_m against the rig"
-        )
+        wide = proxy.left.shape[1]
+        raise PlateError(f"disparities {search.low} to {search.high} px do not fit plates {wide} px wide; check near_m and far_m against the rig")
     depth = disparity_of_pair(proxy, search, settings) if eye == "left" else _flipped(disparity_of_pair(proxy.flipped(), search, settings))
     rectified = Frame(
         passes={"disparity": depth.refined.disparity, "confidence": depth.confidence, "flags": depth.flags},

@@ -30,11 +30,16 @@ def _look_up(flow: Float32, at: Float32) -> Float32:
 
 
 def flow_disparity(proxy: Proxy, *, within_px: float = 1.0) -> FlowMatch:
-    """Disparity by optical flow, checked there and back to `within_px`."""
-    left, right = (cv2.cvtColor(p, cv2.COLOR_BGR2GRAY) for p in (proxy.left, proxy.right))
+    """Disparity by optical flow on half-size pictures, checked there and back to `within_px` of the full size."""
+    height, width = proxy.left_grey.shape
+    half = (max(width // 2, 16), max(height // 2, 16))
+    left, right = (cv2.resize(p, half, interpolation=cv2.INTER_AREA).astype(np.uint8) for p in (proxy.left_grey, proxy.right_grey))
     dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     there, back = dis.calc(left, right, None), dis.calc(right, left, None)
-    residual = there + _look_up(back, there)
+    size = np.array([width / half[0], height / half[1]], np.float32)
+    residual = (there + _look_up(back, there)) * size
+    there = there * size
     agrees = (np.abs(residual).max(axis=2) <= within_px) & (np.abs(there[..., 1]) <= VERTICAL_LIMIT_PX)
     vertical = float(np.median(there[..., 1][agrees])) if agrees.any() else float("nan")
-    return FlowMatch(disparity=np.where(agrees, -there[..., 0], np.float32(np.nan)), vertical_px=vertical)
+    small = np.where(agrees, -there[..., 0], np.float32(np.nan))
+    return FlowMatch(disparity=cv2.resize(small, (width, height), interpolation=cv2.INTER_NEAREST), vertical_px=vertical)

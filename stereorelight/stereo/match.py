@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stereorelight.arrays import Float32, UInt8
+from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.camera import RectifiedRig
 from stereorelight.engine.occlusion import consistent
 from stereorelight.errors import PlateError
@@ -21,7 +21,7 @@ COARSE_REACH = 0.6  # of the frame's width: no disparity beyond it is looked for
 TAIL = 0.002  # share of believed matches at either end that does not widen the range
 BEHIND_LIMIT = 0.6  # share of believed matches behind the rig at which the eyes must be swapped
 BLOCK = 3
-P1, P2 = 4 * 3 * BLOCK**2, 24 * 3 * BLOCK**2  # penalties of a step by one and of a jump, three channels
+P1, P2 = 4 * BLOCK**2, 24 * BLOCK**2  # penalties of a step by one and of a jump, per channel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +54,8 @@ class Match:
     dense: Float32
 
 
-def _sgbm(search: DisparityRange, mode: int) -> cv2.StereoSGBM:
-    return cv2.StereoSGBM_create(search.low, search.count, BLOCK, P1, P2, 1, 63, 0, 0, 0, mode)
+def _sgbm(search: DisparityRange, channels: int, mode: int) -> cv2.StereoSGBM:
+    return cv2.StereoSGBM_create(search.low, search.count, BLOCK, P1 * channels, P2 * channels, 1, 63, 0, 0, 0, mode)
 
 
 def _padded(picture: UInt8, search: DisparityRange) -> tuple[UInt8, int]:
@@ -84,7 +84,7 @@ def match(
     """
     left, pad = _padded(proxy.left, search)
     right, _ = _padded(proxy.right, search)
-    matcher = _sgbm(search, cv2.STEREO_SGBM_MODE_HH4 if exhaustive else cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    matcher = _sgbm(search, left.shape[2] if left.ndim == 3 else 1, cv2.STEREO_SGBM_MODE_HH4 if exhaustive else cv2.STEREO_SGBM_MODE_SGBM_3WAY)
     raw_left = matcher.compute(left, right)
     raw_right = cv2.ximgproc.createRightMatcher(matcher).compute(right, left)
     frame = slice(pad, pad + proxy.left.shape[1])
@@ -100,21 +100,23 @@ def match(
 
 
 def _coarse(proxy: Proxy) -> tuple[Proxy, float]:
-    height, width = proxy.left.shape[:2]
+    """A small grey copy, and its scale."""
+    height, width = proxy.left_grey.shape
     scale = min(1.0, COARSE_WIDTH / width)
     size = (max(16, round(width * scale)), max(16, round(height * scale)))
 
-    def small(a: np.ndarray) -> np.ndarray:
+    def small(a: Float32) -> Float32:
         return cv2.resize(a, size, interpolation=cv2.INTER_AREA)
 
-    def known(a: np.ndarray) -> np.ndarray:
-        return small(a.astype(np.uint8) * 255) == 255
+    def known(a: Bool) -> Bool:
+        return cv2.resize(a.view(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) == 255
 
+    left, right = small(proxy.left_grey), small(proxy.right_grey)
     shrunk = Proxy(
-        left=small(proxy.left),
-        right=small(proxy.right),
-        left_grey=small(proxy.left_grey),
-        right_grey=small(proxy.right_grey),
+        left=np.rint(left).astype(np.uint8),
+        right=np.rint(right).astype(np.uint8),
+        left_grey=left,
+        right_grey=right,
         left_known=known(proxy.left_known),
         right_known=known(proxy.right_known),
     )
@@ -150,9 +152,9 @@ def search_range(proxy: Proxy, rig: RectifiedRig, *, near_m: float | None = None
         )
     d = d[d >= infinity - 1.5]
     lowest, highest = np.quantile(d, (TAIL, 1 - TAIL))
-    margin = 1.5 + 0.03 * (highest - lowest)
+    margin = 0.75 + 0.03 * (highest - lowest)
     if low is None:
-        low = max(float(lowest - margin), infinity - 1) / scale
+        low = max(float(lowest - margin), infinity - 0.5) / scale
     if high is None:
         high = float(highest + margin) / scale
     if low >= high:

@@ -8,13 +8,16 @@ channel by channel: different exposure or colour turns 3 % of wrong matches into
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float32, Float64, UInt8, UInt16
 from stereorelight.engine.tone import LEVELS, levels, through_tables
 from stereorelight.errors import PlateError
 
+Number = TypeVar("Number", np.float32, np.uint16)
 WHITE_QUANTILE = 0.99
 HEADROOM = 1.25  # white lies this much above that quantile
 QUANTILES = 256
@@ -44,20 +47,24 @@ class Proxy:
         )
 
 
-def _sample(picture: Float32 | UInt16) -> Float32 | UInt16:
+def _sample(picture: npt.NDArray[Number]) -> npt.NDArray[Number]:
     """About `SAMPLES` of the pixels, evenly spread, as (n, 3)."""
     step = max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / SAMPLES)))
     return picture[::step, ::step].reshape(-1, 3)
 
 
+def _brightest(pixels: Float32) -> Float32:
+    """The brightest channel of each known pixel of (n, 3)."""
+    light: Float32 = np.maximum(np.maximum(pixels[:, 0], pixels[:, 1]), pixels[:, 2])
+    return light[np.isfinite(pixels[:, 0] + pixels[:, 1] + pixels[:, 2])]
+
+
 def _white(picture: Float32, eye: str) -> float:
-    sample = _sample(picture)
-    light = sample[np.isfinite(sample).all(axis=1)].max(axis=1, initial=-np.inf)
-    if light.size == 0:
-        finite = picture[np.isfinite(picture).all(axis=2)]
-        if finite.size == 0:
+    light = _brightest(_sample(picture))
+    if light.size == 0:  # hardly anything is known: look at every pixel
+        light = _brightest(picture.reshape(-1, 3))
+        if light.size == 0:
             raise PlateError(f"{eye} plate has no known pixel (all NaN or infinite); check the render or the colour space")
-        light = finite.max(axis=1)
     white = float(np.quantile(light, WHITE_QUANTILE))
     if not white > 0:
         raise PlateError(f"{eye} plate is black nearly everywhere; check exposure and colour space")

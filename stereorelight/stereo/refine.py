@@ -1,9 +1,11 @@
 """From a dense disparity to one worth lighting: sub-pixel photometry, occluded ground, and local planes.
 
-In: a `Proxy` and its `Match`.  Out: a `Refined` disparity with slopes.  Three steps, each against one fault:
-variational refinement (Brox et al. 2004, OpenCV's) takes out the whole-pixel steps of the matcher; ground that the other
-eye cannot see takes the disparity of the background beside it, never a blend of actor and wall; a robust local plane fit
-takes out the noise that would turn normals, and leaves a slope per pixel."""
+In: a `Proxy` and its dense disparity.  Out: a `Refined` disparity with slopes.  Each step is against one fault:
+- variational refinement (Brox et al. 2004, OpenCV's) takes out the whole-pixel steps of the matcher;
+- ground that the other eye cannot see takes the disparity of the background beside it, never a blend of actor and wall;
+- a robust local plane takes out the noise that would turn normals, and leaves a slope per pixel;
+- photometric planes (Lucas and Kanade 1981, over each pixel's own surface) take out what the first steps leave on plain
+  ground: a bias of 0.1-0.3 px that follows the fraction of the disparity.  Wide windows first, since bias is wide."""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ import numpy as np
 
 from stereorelight.arrays import Bool, Float32
 from stereorelight.engine.occlusion import background_fill, hidden
-from stereorelight.engine.refine import robust_planes
+from stereorelight.engine.photometric import brightness_residual, measured_disparity
+from stereorelight.engine.refine import Planes, robust_planes
 from stereorelight.stereo.proxy import Proxy
 
 
@@ -28,7 +31,7 @@ class Refined:
     hidden: Bool
 
 
-def sub_pixel(proxy: Proxy, disparity: Float32, *, smoothness: float = 10.0, gradient: float = 10.0, iterations: int = 3) -> Float32:
+def sub_pixel(proxy: Proxy, disparity: Float32, *, smoothness: float = 10.0, gradient: float = 10.0, iterations: int = 2) -> Float32:
     """Variational refinement of `disparity` on the grey proxies; `smoothness` against brightness and `gradient` constancy."""
     left, right = (cv2.cvtColor(p, cv2.COLOR_BGR2GRAY) for p in (proxy.left, proxy.right))
     refinement = cv2.VariationalRefinement_create()
@@ -39,16 +42,59 @@ def sub_pixel(proxy: Proxy, disparity: Float32, *, smoothness: float = 10.0, gra
     return -u
 
 
-def refine(proxy: Proxy, dense: Float32, trusted: Float32, *, radius: int = 6, stride: int = 3, tau_px: float = 0.5) -> Refined:
+@dataclass(frozen=True, kw_only=True)
+class Round:
+    """One round of photometric planes: half window, sampling step, weight of the disparity so far (1/px^2)."""
+
+    radius: int
+    stride: int
+    prior: float
+
+
+WIDE, WIDER = Round(radius=15, stride=5, prior=0.1), Round(radius=20, stride=5, prior=0.05)
+NARROW, CLOSE = Round(radius=8, stride=2, prior=2.0), Round(radius=5, stride=1, prior=2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How much refinement a quality buys: variational steps, passes of the first plane fit, photometric rounds."""
+
+    variational: int
+    passes: int
+    rounds: tuple[Round, ...]
+
+
+EFFORTS = {
+    "draft": Effort(variational=2, passes=2, rounds=()),
+    "standard": Effort(variational=2, passes=1, rounds=(WIDE, NARROW)),
+    "fine": Effort(variational=5, passes=2, rounds=(WIDER, NARROW, CLOSE)),
+}
+LOCAL = (9, 9)  # window over which a difference of brightness between the eyes is exposure, not disparity
+NOISE_FLOOR = 1.0  # grey levels: quantisation and resampling leave no less
+UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.3
+
+
+def photometric_planes(proxy: Proxy, planes: Planes, trust: Float32, this: Round, *, tau_px: float) -> Planes:
+    """The local planes that make the two pictures agree best, each over its own surface within the round's window."""
+    residual, rate = brightness_residual(proxy.left_grey, proxy.right_grey, planes[0])
+    local = cv2.blur(residual, LOCAL)
+    noise = max(NOISE_FLOOR, 1.4826 * float(np.median(np.abs(residual - local)[::4, ::4])))
+    target, weight = measured_disparity(planes[0], residual, local, rate, trust, noise=noise, outlier=noise + 2, prior=this.prior)
+    return robust_planes(planes[0], weight, radius=this.radius, stride=this.stride, tau_px=tau_px, slopes=planes[1:], target=target, passes=1)
+
+
+def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EFFORTS["standard"], tau_px: float = 0.5) -> Refined:
     """The refined disparity of the left eye.
 
-    dense   : (H, W) disparity with a value everywhere.   trusted : (H, W) 0..1, how far to believe each pixel.
-    radius, stride, tau_px : of the plane fit, see `engine.refine.robust_planes`.
+    dense     : (H, W) disparity with a value everywhere.   confirmed : (H, W), the right eye says the same.
+    tau_px    : how far off a plane a neighbour may lie and still belong to the surface.
     """
-    fine = sub_pixel(proxy, dense)
-    unseen = hidden(fine) & (trusted <= 0)
+    fine = sub_pixel(proxy, dense, iterations=effort.variational)
+    unseen = hidden(fine) & ~confirmed
     filled = background_fill(fine, unseen)
-    weight = np.maximum(trusted, np.float32(0.3))
-    weight[unseen] = 0.02
-    value, slope_x, slope_y = robust_planes(filled, weight, radius=radius, stride=stride, tau_px=tau_px)
-    return Refined(disparity=value, slope_x=slope_x, slope_y=slope_y, hidden=unseen)
+    trust = np.where(confirmed, np.float32(1), np.float32(UNSURE_TRUST))
+    trust[unseen] = UNSEEN_TRUST
+    planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
+    for this in effort.rounds:
+        planes = photometric_planes(proxy, planes, trust, this, tau_px=tau_px)
+    return Refined(disparity=planes[0], slope_x=planes[1], slope_y=planes[2], hidden=unseen)
