@@ -27,6 +27,14 @@ def test_round_trip_keeps_every_value(space: str, values: np.ndarray) -> None:
         assert np.array_equal(there(-values, space), -there(values, space))
 
 
+@pytest.mark.parametrize("space", known_spaces())
+def test_round_trip_holds_where_branches_meet(space: str) -> None:
+    joins = np.array([0.04045, 0.0031308, 0.018053968510807, 4.5 * 0.018053968510807], np.float32)
+    near = (joins[:, None].astype(np.float64) * (1 + np.linspace(-1e-5, 1e-5, 2001))).astype(np.float32)
+    for there, back in ((encode, decode), (decode, encode)):
+        assert np.allclose(back(there(near, space), space), near, rtol=FLOAT32_STEP, atol=0)
+
+
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("space", known_spaces())
 def test_every_code_value_returns_exactly(space: str, bits: int) -> None:

@@ -21,6 +21,9 @@ LINEAR_SUFFIXES = frozenset({".exr"})
 # BT.709's constants to the digits at which its two branches meet, so that the curve has an inverse.
 BT709_ALPHA, BT709_BETA = 1.09929682680944, 0.018053968510807
 
+# The standard's two branches leave a gap of 2.4e-9 where they meet at 0.04045; its middle tells them apart after rounding to float32.
+SRGB_JOIN = (0.04045 / 12.92 + ((0.04045 + 0.055) / 1.055) ** 2.4) / 2
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -39,7 +42,7 @@ def _srgb_decode(e: Float64) -> Float64:
 
 
 def _srgb_encode(l: Float64) -> Float64:
-    return np.where(l <= 0.04045 / 12.92, l * 12.92, 1.055 * np.power(l, 1 / 2.4) - 0.055)
+    return np.where(l <= SRGB_JOIN, l * 12.92, 1.055 * np.power(l, 1 / 2.4) - 0.055)
 
 
 def _rec709_decode(e: Float64) -> Float64:
