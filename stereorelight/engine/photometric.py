@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from stereorelight.arrays import Float32
+from stereorelight.arrays import Bool, Float32
 from stereorelight.engine.rows import in_row_blocks
 
 f4 = np.float32
@@ -92,7 +92,20 @@ def _believed(first, end, coefficients, confirmed, unseen, matched, flow, dispar
             out[y, x] = min(max(f4(1) / (f4(1) + np.exp(-t)), low), high)
 
 
-def believed(coefficients, confirmed, unseen, matched, flow, disparity, texture, unlike, spread, *, low: float, high: float) -> Float32:
+def believed(
+    coefficients: Float32,
+    confirmed: Bool,
+    unseen: Bool,
+    matched: Float32,
+    flow: Float32,
+    disparity: Float32,
+    texture: Float32,
+    unlike: Float32,
+    spread: Float32,
+    *,
+    low: float,
+    high: float,
+) -> Float32:
     """The logistic weighing of the evidence that stereo/confidence.py names; every array (H, W)."""
     out = np.empty_like(disparity)
     given = (coefficients, confirmed, unseen, matched, flow, disparity, texture, unlike, spread, f4(low), f4(high), out)

@@ -13,18 +13,22 @@ from stereorelight.engine.rows import in_row_blocks
 f4 = np.float32
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _cubic(t):
-    """Catmull-Rom weights at fraction t."""
-    a = f4(0.5) * t * (f4(-1) + t * (f4(2) - t))
-    b = f4(1) + f4(0.5) * t * t * (f4(-5) + f4(3) * t)
-    c = f4(0.5) * t * (f4(1) + t * (f4(4) - f4(3) * t))
-    d = f4(0.5) * t * t * (t - f4(1))
-    return a, b, c, d
+LOBES = 3  # of the sinc on either side
+STEPS = 8192  # fractions of a pixel in the table: looking up the nearest moves a sample by at most 1/16384 px
+
+
+def _lanczos_table() -> Float32:
+    """Weights (STEPS + 1, 6) of the six pixels about each fraction; each row sums to one, so plain areas stay plain."""
+    x = np.linspace(0, 1, STEPS + 1)[:, None] + (LOBES - 1) - np.arange(2 * LOBES)
+    weights = np.sinc(x) * np.sinc(x / LOBES) * (np.abs(x) < LOBES)
+    return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+LANCZOS = _lanczos_table()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bicubic(first, end, picture, pixels, out):
+def _windowed_sinc(first, end, picture, pixels, table, out):
     H, W, C = picture.shape
     w = pixels.shape[1]
     for y in range(first, end):
@@ -36,22 +40,22 @@ def _bicubic(first, end, picture, pixels, out):
                     out[y, x, c] = np.nan
                 continue
             x0, y0 = int(np.floor(u)), int(np.floor(v))
-            wx, wy = _cubic(u - f4(x0)), _cubic(v - f4(y0))
+            wx, wy = table[int((u - x0) * STEPS + 0.5)], table[int((v - y0) * STEPS + 0.5)]
             for c in range(C):
                 total = f4(0)
-                for j in range(4):
-                    yy = min(max(y0 - 1 + j, 0), H - 1)
+                for j in range(2 * LOBES):
+                    yy = min(max(y0 + 1 - LOBES + j, 0), H - 1)
                     row = f4(0)
-                    for i in range(4):
-                        row += wx[i] * picture[yy, min(max(x0 - 1 + i, 0), W - 1), c]
+                    for i in range(2 * LOBES):
+                        row += wx[i] * picture[yy, min(max(x0 + 1 - LOBES + i, 0), W - 1), c]
                     total += wy[j] * row
                 out[y, x, c] = total
 
 
-def bicubic(picture: Float32, pixels: Float32) -> Float32:
-    """`picture` at `pixels` by Catmull-Rom; the border is repeated, and beyond the frame is NaN."""
+def resample(picture: Float32, pixels: Float32) -> Float32:
+    """`picture` at `pixels` by a Lanczos kernel of three lobes; the border is repeated, and beyond the frame is NaN."""
     out = np.empty((*pixels.shape[:2], picture.shape[2]), np.float32)
-    in_row_blocks(lambda first, end: _bicubic(first, end, picture, pixels, out), pixels.shape[0])
+    in_row_blocks(lambda first, end: _windowed_sinc(first, end, picture, pixels, LANCZOS, out), pixels.shape[0])
     return out
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from stereorelight.arrays import Float32, Float64, as_float32
 from stereorelight.camera import Camera, Eye, RectifiedRig, Rig
-from stereorelight.engine.resample import bicubic
+from stereorelight.engine.resample import resample
 from stereorelight.errors import PlateError, RigError
 
 LARGEST_GROWTH = 1.6  # a rectified frame wider than this share of the plate belongs to a lens too wide to rectify whole
@@ -77,7 +77,7 @@ class Rectification:
         picture = as_float32(picture, f"{eye} plate", channels=picture.shape[2] if picture.ndim == 3 else None)
         if self.identity:
             return picture
-        return bicubic(picture, self.original_from_rectified(eye))
+        return resample(picture, self.original_from_rectified(eye))
 
 
 def _already_rectified(rig: Rig) -> bool:
