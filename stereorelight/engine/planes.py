@@ -20,11 +20,13 @@ from stereorelight.engine.locks import KERNEL_LOCK
 BLOCK = 64  # rows a task: high enough that starting the running sums costs little
 SUMS = 11
 FAST = {"reassoc", "contract", "arcp", "nsz"}  # never nnan: NaN means unknown
-BAD = 1e30  # residual variance of a window that cannot say
+BAD = 1e200  # its square overflows to a weight of nothing: residual variance of a window that cannot say
 OWN_REACH = 9.0  # three sigma: beyond it the pixel is not of the window's plane
 EXACT = 1e-18  # relative residual variance below which a fit is as exact as sums of doubles can tell
 SHIFT_PRICE = 1.5  # a shifted window must fit this much better than the centred one
 OWN_RISK = 0.5  # what the pixel's own disagreement counts beside its surroundings'
+RISE = 4.0  # times the least disagreement of finer scales: more than chance
+SMOOTH = 4  # least radius over which disagreement is averaged
 ROUNDING = 1e-13  # float32 normals squared: less disagreement than this means nothing
 UNJUDGED = 1e-9  # weight of a scale that no coarser one could judge: the last resort
 LAST = 4.0
@@ -178,8 +180,12 @@ def _disagreement(fine, coarse, delta, count):
 
 
 @numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
-def _risk(delta, count, r, floor, risk):
-    """Local mean of `delta` over (2 r + 1)^2 where known, with the pixel's own beside it; NaN where that is not known."""
+def _risk(delta, count, r, floor, least, shape, risk):
+    """Local mean of `delta` over (2 r + 1)^2 where known, with the pixel's own beside it; NaN where that is not known.
+
+    Beyond the size of a detail all windows agree again, that there is none.  So what once rose well above the `least` disagreement
+    of the finer scales is kept as `shape`, and no coarser scale comes below it.
+    """
     h, w = delta.shape
     for block in numba.prange((h + BLOCK - 1) // BLOCK):
         y0 = block * BLOCK
@@ -201,7 +207,13 @@ def _risk(delta, count, r, floor, risk):
             _run_row(cols, r, rows)
             for i in range(w):
                 mean = max(rows[0, i], 0.0) / max(rows[1, i], 1.0)
-                risk[v, i] = mean + OWN_RISK * delta[v, i] + floor if count[v, i] > 0 else np.nan
+                if count[v, i] > 0:
+                    d = mean + OWN_RISK * delta[v, i] + floor
+                    risk[v, i] = max(d, shape[v, i])
+                    shape[v, i] = max(shape[v, i], d - RISE * least[v, i])
+                    least[v, i] = min(least[v, i], d)
+                else:
+                    risk[v, i] = np.nan
 
 
 @numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
@@ -242,6 +254,7 @@ def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple
     w0 = float(inverse[known].mean())
     centred = np.where(known, inverse / w0 - 1.0, 0.0)  # free of units, and small numbers keep the running sums exact
     a, b, c, res, delta, count, risk = (np.empty((h, w)) for _ in range(7))
+    least, shape = np.full((h, w), np.inf), np.zeros((h, w))
     total = np.zeros((h, w, 3))
     fine: Float32 | None = None
     with KERNEL_LOCK:
@@ -252,12 +265,12 @@ def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple
             if fine is not None:
                 _disagreement(fine, coarse, delta, count)
                 before = risk.copy()
-                _risk(delta, count, radii[k - 1], _noise_floor(radii[k - 1], noise, rays, inverse), risk)
+                _risk(delta, count, max(radii[k - 1], SMOOTH), _noise_floor(radii[k - 1], noise, rays, inverse), least, shape, risk)
                 _blend(fine, risk, total)
             fine = coarse
         # Nothing coarser judges the last scale.  Noise falls by 16 from scale to scale; what fell less is shape, and weighs four times more there.
-        shape = risk - before / 12 if len(radii) > 2 else risk
-        _blend(fine, LAST * np.fmax(shape, 0) + risk / 16 + _noise_floor(radii[-1], noise, rays, inverse), total)
+        excess = LAST * np.fmax(risk - before / 12 if len(radii) > 2 else risk, 0)
+        _blend(fine, np.fmax(excess, shape) + risk / 16 + _noise_floor(radii[-1], noise, rays, inverse), total)
     with np.errstate(invalid="ignore", divide="ignore"):
         total /= np.sqrt((total * total).sum(axis=-1, keepdims=True))
     total[~known] = np.nan
