@@ -233,6 +233,21 @@ def test_an_impossible_window_is_refused_at_once(tmp_path: Path, box: tuple[int,
     assert time.perf_counter() - start < 5
 
 
+@pytest.mark.parametrize(("side", "why"), [(30_000, "its header claims"), (40_000, "damaged")])
+def test_one_tile_that_claims_gigabytes_is_refused_before_any_is_asked_for(tmp_path: Path, side: int, why: str) -> None:
+    # The library checks rows against the file's length, but a single tile of any size passes.
+    header = {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()}
+    data = bytearray(make(tmp_path / "a.exr", header, {"Z": GRID.copy()}).read_bytes())
+    at = data.index(b"tiles\0tiledesc\0") + len(b"tiles\0tiledesc\0") + 4
+    data[at : at + 8] = struct.pack("<2I", side, side)
+    for which in (b"dataWindow\0box2i\0", b"displayWindow\0box2i\0"):
+        at = data.index(which) + len(which) + 4
+        data[at : at + 16] = struct.pack("<4i", 0, 0, side - 1, side - 1)
+    (tmp_path / "a.exr").write_bytes(data)
+    with pytest.raises(PlateError, match=rf"a\.exr: .*{why}"):
+        read_exr(tmp_path / "a.exr")
+
+
 def test_what_is_no_exr_is_named(tmp_path: Path) -> None:
     (tmp_path / "empty.exr").touch()
     (tmp_path / "words.exr").write_bytes(b"these are words, not a picture" * 50)
