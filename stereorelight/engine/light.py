@@ -36,7 +36,8 @@ COLUMNS = 22
 MATTE, DIFFUSE_SLOT, SPECULAR_SLOT = 0, 1, 2
 
 NEAREST_M = 0.01  # a surface nearer to the light than this is lit as from here, so that nothing is infinite
-STRIP = 1024
+STRIP = 2048  # 19 rows of it stay in the second-level cache
+PADDING = 80  # rows a whole page apart would fall onto the same cache lines
 VECTOR = 64  # whole vectors, unrolled, on any machine of today
 
 _NEAREST2 = f4(NEAREST_M**2)
@@ -64,13 +65,6 @@ def _load_depth(source, m, n, z):
 
 
 @kernel()
-def _pinhole_rays(first, n, cx, per_fx, slope_y, x, y):
-    for i in range(n):
-        x[i] = (f4(first + i4(i)) - cx) * per_fx
-        y[i] = slope_y
-
-
-@kernel()
 def _load_rays(source, m, n, x, y):
     for i in range(m):
         x[i] = source[2 * i]
@@ -81,8 +75,18 @@ def _load_rays(source, m, n, x, y):
 
 
 @kernel()
-def _positions(n, x, y, z):
-    """P = (x Z, -y Z, -Z) in place; anything but a positive Z becomes the origin, which `_views` takes for missing."""
+def _position_by_pinhole(n, first, cx, per_fx, slope_y, x, y, z):
+    """P = (x Z, -y Z, -Z) from the row z of Z; anything but a positive Z becomes the origin, which `_view` takes for missing."""
+    for i in range(n):
+        d = z[i] if z[i] > f4(0) else f4(0)
+        x[i] = (f4(first + i4(i)) - cx) * per_fx * d
+        y[i] = -slope_y * d
+        z[i] = -d
+
+
+@kernel()
+def _position_by_rays(n, x, y, z):
+    """The same in place, from rows of ray slopes x and y."""
     for i in range(n):
         d = z[i] if z[i] > f4(0) else f4(0)
         x[i] = x[i] * d
@@ -91,25 +95,28 @@ def _positions(n, x, y, z):
 
 
 @kernel()
-def _views(n, px, py, pz, nx, ny, nz, vx, vy, vz, known):
-    """V = normalize(-P); pixels without P or N are marked and made harmless."""
+def _view(n, px, py, pz, nx, ny, nz, vx, vy, vz, known):
+    """V = normalize(-P); pixels without P or N are marked 0 in `known` and made harmless."""
     for i in range(n):
-        p2 = px[i] * px[i] + py[i] * py[i] + pz[i] * pz[i]
-        n2 = nx[i] * nx[i] + ny[i] * ny[i] + nz[i] * nz[i]
+        x = px[i]
+        y = py[i]
+        z = pz[i]
+        a = nx[i]
+        b = ny[i]
+        c = nz[i]
+        p2 = x * x + y * y + z * z
+        n2 = a * a + b * b + c * c
         good = (p2 > f4(1e-20)) & (p2 < _FARTHEST2) & (n2 > f4(0.25)) & (n2 < f4(4))
-        x = px[i] if good else f4(0)
-        y = py[i] if good else f4(0)
-        z = pz[i] if good else f4(-1)
-        r = f4(-1) / math.sqrt(x * x + y * y + z * z)
-        px[i] = x
-        py[i] = y
-        pz[i] = z
-        nx[i] = nx[i] if good else f4(0)
-        ny[i] = ny[i] if good else f4(0)
-        nz[i] = nz[i] if good else f4(1)
-        vx[i] = x * r
-        vy[i] = y * r
-        vz[i] = z * r
+        r = f4(-1) / math.sqrt(p2)
+        px[i] = x if good else f4(0)
+        py[i] = y if good else f4(0)
+        pz[i] = z if good else f4(0)
+        nx[i] = a if good else f4(0)
+        ny[i] = b if good else f4(0)
+        nz[i] = c if good else f4(0)
+        vx[i] = x * r if good else f4(0)
+        vy[i] = y * r if good else f4(0)
+        vz[i] = z * r if good else f4(0)
         known[i] = f4(1) if good else f4(0)
 
 
@@ -194,6 +201,14 @@ def _phong(n, lx, ly, lz, w, ws, wo, a0, a1, a2, window, exponent, px, py, pz, n
 
 
 @kernel()
+def _put(n, e, red, green, blue, r, g, b):
+    for i in range(n):
+        r[i] = e[i] * red
+        g[i] = e[i] * green
+        b[i] = e[i] * blue
+
+
+@kernel()
 def _add(n, e, red, green, blue, r, g, b):
     for i in range(n):
         r[i] += e[i] * red
@@ -240,7 +255,7 @@ def _write_beauty(m, plate, albedo, gain_r, gain_g, gain_b, dr, dg, db, sr, sg, 
 def _rows(first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, layers, plate, gain, beauty, to_beauty):
     """Rows first..end.  P, N, albedo, plate, beauty are (H, 3 W); rays (H, 2 W); layers (slots, H, 3 W); mattes (k, H, W)."""
     W = N.shape[1] // 3
-    T = np.empty((19, STRIP), np.float32)
+    T = np.empty((19, STRIP + PADDING), np.float32)
     px, py, pz, nx, ny, nz, vx, vy, vz, known = T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9]
     lit, e, s, dr, dg, db, sr, sg, sb = T[10], T[11], T[12], T[13], T[14], T[15], T[16], T[17], T[18]
     for y in range(first, end):
@@ -250,16 +265,15 @@ def _rows(first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, li
             if has_P:
                 _load_vectors(P[y, 3 * x : 3 * (x + m)], m, n, px, py, pz)
             else:
+                _load_depth(Z[y, x : x + m], m, n, pz)
                 if has_rays:
                     _load_rays(rays[y, 2 * x : 2 * (x + m)], m, n, px, py)
+                    _position_by_rays(n, px, py, pz)
                 else:
-                    _pinhole_rays(i4(x), n, cx, f4(1) / fx, (f4(y) - cy) / fy, px, py)
-                _load_depth(Z[y, x : x + m], m, n, pz)
-                _positions(n, px, py, pz)
+                    _position_by_pinhole(n, i4(x), cx, f4(1) / fx, (f4(y) - cy) / fy, px, py, pz)
             _load_vectors(N[y, 3 * x : 3 * (x + m)], m, n, nx, ny, nz)
-            _views(n, px, py, pz, nx, ny, nz, vx, vy, vz, known)
-            if to_beauty:
-                T[13:19, :n] = f4(0)
+            _view(n, px, py, pz, nx, ny, nz, vx, vy, vz, known)
+            dark, dull = True, True  # nothing summed yet: diffuse, specular
             for k in range(lights.shape[0]):
                 q = lights[k]
                 if slots[k, MATTE] >= 0:
@@ -281,15 +295,26 @@ def _rows(first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, li
                         px, py, pz, nx, ny, nz, lit, e,
                     )  # fmt: skip
                 if to_beauty:
-                    _add(n, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], dr, dg, db)
-                    if shines:
+                    if dark:
+                        _put(n, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], dr, dg, db)
+                    else:
+                        _add(n, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], dr, dg, db)
+                    dark = False
+                    if shines and dull:
+                        _put(n, s, q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], sr, sg, sb)
+                    elif shines:
                         _add(n, s, q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], sr, sg, sb)
+                    dull = dull and not shines
                 if slots[k, DIFFUSE_SLOT] >= 0:
                     a = albedo[y, 3 * x : 3 * (x + m)]
                     _write_diffuse(m, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], a, layers[slots[k, DIFFUSE_SLOT], y, 3 * x : 3 * (x + m)])
                 if slots[k, SPECULAR_SLOT] >= 0:
                     _write_specular(m, s, q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], layers[slots[k, SPECULAR_SLOT], y, 3 * x : 3 * (x + m)])
             if to_beauty:
+                if dark:
+                    _put(n, known, f4(0), f4(0), f4(0), dr, dg, db)
+                if dull:
+                    _put(n, known, f4(0), f4(0), f4(0), sr, sg, sb)
                 strip = slice(3 * x, 3 * (x + m))
                 _write_beauty(m, plate[y, strip], albedo[y, strip], gain[0], gain[1], gain[2], dr, dg, db, sr, sg, sb, beauty[y, strip])
 

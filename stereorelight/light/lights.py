@@ -90,7 +90,7 @@ class Light:
     @property
     def strength(self) -> float:
         """intensity * 2^exposure."""
-        return self.intensity * 2.0**self.exposure
+        return float(self.intensity * 2.0**self.exposure)
 
     def _error(self, key: str, wanted: str, came: str, remedy: str = "") -> ShotError:
         return ShotError(f"light {self.name!r}: {key} {wanted}, got {came}" + (f"; {remedy}" if remedy else ""))

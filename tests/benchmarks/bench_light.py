@@ -1,0 +1,111 @@
+"""What the light kernel costs: 1920x1080, CPU time, everything run in turn in one process; ratios of medians are what counts.
+
+    python tests/benchmarks/bench_light.py [ROUNDS]
+
+Memory floor: a kernel that reads Z and RGB and writes RGB.  NumPy: tests/reference_light.py in float32, as a compositor
+would write it.  Bounds are those of the project: 1 light at most 8 times the floor and at least 30 times faster than NumPy."""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+from reference_light import reference_layers, reference_relight
+
+from stereorelight.camera import Camera
+from stereorelight.comp import relight
+from stereorelight.light.lights import DirectionalLight, Light, PointLight, SpotLight
+from stereorelight.light.shade import light_layers, relight_fused
+from stereorelight.surface.position import position_from_depth
+
+SIZE = (1920, 1080)
+MOST_FLOORS, LEAST_NUMPY = 8.0, 30.0
+
+
+@njit(nogil=True, fastmath=True)
+def _floor(Z, plate, out):  # type: ignore[no-untyped-def]
+    for y in range(Z.shape[0]):
+        for x in range(Z.shape[1]):
+            z = Z[y, x]
+            out[y, x, 0] = plate[y, x, 0] + z
+            out[y, x, 1] = plate[y, x, 1] + z
+            out[y, x, 2] = plate[y, x, 2] + z
+
+
+def some_lights(count: int) -> list[Light]:
+    """Point lights with diffuse and specular."""
+    return [PointLight(name=f"p{k}", position_m=(1 - 0.1 * k, 1, 0.1 * k), specular=0.3, exponent=32) for k in range(count)]
+
+
+def mixture() -> list[Light]:
+    """One of each kind and more: 4 lights."""
+    return [
+        PointLight(name="key", position_m=(1, 1, 0), specular=0.3),
+        SpotLight(name="spot", position_m=(-1, 1, 0), aim_m=(0, 0, -3), specular=0.3),
+        DirectionalLight(name="sun", azimuth_deg=30, elevation_deg=40),
+        PointLight(name="fill", position_m=(-1, 0, 0), attenuation="radius", radius_m=5),
+    ]
+
+
+def main(rounds: int) -> int:
+    camera = Camera.from_fov(50, SIZE)
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]].astype(np.float32)
+    Z = (3 + np.sin(x / 90) + 0.5 * np.cos(y / 70)).astype(np.float32)
+    N = np.dstack([np.cos(x / 90) * 0.5, np.sin(y / 70) * 0.3, np.ones_like(x)])
+    N = (N / np.linalg.norm(N, axis=-1, keepdims=True)).astype(np.float32)
+    plate = rng.uniform(0, 1, N.shape).astype(np.float32)
+    out = np.empty_like(plate)
+    P = position_from_depth(Z, camera)
+
+    def numpy_way(lights: list[Light]) -> Callable[[], object]:
+        return lambda: reference_relight(plate, position_from_depth(Z, camera), N, lights)
+
+    one, four, sixteen = some_lights(1), some_lights(4), some_lights(16)
+    runs: dict[str, Callable[[], object]] = {
+        "memory floor": lambda: _floor(Z, plate, out),
+        "1 light": lambda: relight_fused(plate, Z, N, camera, one),
+        "1 light, diffuse alone": lambda: relight_fused(plate, Z, N, camera, [PointLight(name="a", position_m=(1, 1, 0))]),
+        "4 lights": lambda: relight_fused(plate, Z, N, camera, four),
+        "4 lights, mixed kinds": lambda: relight_fused(plate, Z, N, camera, mixture()),
+        "16 lights": lambda: relight_fused(plate, Z, N, camera, sixteen),
+        "1 light, layers + comp": lambda: relight(plate, light_layers(P, N, plate, one)),
+        "4 lights, layers alone": lambda: light_layers(P, N, plate, four),
+        "4 lights, layers + comp": lambda: relight(plate, light_layers(P, N, plate, four)),
+        "NumPy, 1 light": numpy_way(one),
+        "NumPy, 4 lights": numpy_way(four),
+    }
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for turn in range(rounds + 1):
+        for name, run in runs.items():
+            if name.startswith("NumPy") and turn > 4:
+                continue
+            start = time.process_time()
+            run()
+            if turn:  # the first one compiles
+                times[name].append(time.process_time() - start)
+    medians = {name: statistics.median(found) for name, found in times.items()}
+    floor, plain = medians["memory floor"], medians["NumPy, 1 light"]
+    print(f"{'1920x1080, CPU time':26s} {'ms':>8s} {'x floor':>8s}")
+    for name, median in medians.items():
+        print(f"{name:26s} {median * 1e3:8.1f} {median / floor:8.1f}")
+    floors, faster = medians["1 light"] / floor, plain / medians["1 light"]
+    print(f"1 light: {floors:.1f} times the memory floor (at most {MOST_FLOORS:g}), {faster:.0f} times NumPy (at least {LEAST_NUMPY:g})")
+    print(f"4 lights: {medians['4 lights'] / floor:.1f} times the memory floor, {medians['NumPy, 4 lights'] / medians['4 lights']:.0f} times NumPy")
+
+    layers = light_layers(P, N, plate, mixture())
+    reference = reference_layers(P.astype(np.float64), N.astype(np.float64), plate.astype(np.float64), mixture())
+    worst = max(float(np.abs(layers[name] - want).max() / want.max()) for name, want in reference.items())
+    print(f"against the float64 reference: {worst:.1e} of a layer's largest value (at most 5e-05)")
+    return 0 if floors <= MOST_FLOORS and faster >= LEAST_NUMPY and worst <= 5e-5 else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 15))
