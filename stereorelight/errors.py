@@ -35,7 +35,8 @@ class OutputError(StereoRelightError):
 def nearest_hint(word: str, known: Iterable[str]) -> str:
     """`; did you mean 'x'?` for the nearest of `known`, or the list of them where none is near."""
     names = sorted(known)
-    near = difflib.get_close_matches(word, names, n=1, cutoff=0.55)
+    plain = {name.lower(): name for name in names}
+    near = difflib.get_close_matches(word.lower(), plain, n=1, cutoff=0.55)
     if near:
-        return f"; did you mean {near[0]!r}?"
+        return f"; did you mean {plain[near[0]]!r}?"
     return f"; known: {', '.join(names)}" if names else ""

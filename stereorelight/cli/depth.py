@@ -48,9 +48,8 @@ def command(
     from stereorelight.cli.progress import Bar
     from stereorelight.footage.frames import write_frame
     from stereorelight.interchange.rigs import read_rig
-    from stereorelight.shot.pairs import flip_word, pairs, read_upright
+    from stereorelight.shot.pairs import flip_word, pairs, read_upright, recover_pair
     from stereorelight.shot.steps import depth_figures
-    from stereorelight.stereo.depth import recover
     from stereorelight.stereo.rectify import rectification
     from stereorelight.stereo.settings import DepthSettings
 
@@ -63,7 +62,7 @@ def command(
         for pair, path in zip(found, paths):
             bar.note(pair.name)
             plates = read_upright(pair, rectified, colour_space=colour_space)
-            frame = recover(*plates, rectified, settings=settings, eye=eye).frame
+            frame = recover_pair(pair, plates, rectified, settings=settings, eye=eye).frame
             write_frame(path, replace(frame, number=pair.number, metadata=flip_word(rectified, eye)), force=force)
             results.append({"frame": pair.number, "file": str(path), **depth_figures(frame)})
             bar.note(pair.name, advance=1)

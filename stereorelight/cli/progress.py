@@ -52,7 +52,12 @@ class Bar:
             if self._closed or not console.is_terminal:
                 return
             # markup=False: a file name may hold [brackets].
-            columns = (TextColumn("{task.description}", markup=False), BarColumn(bar_width=28), TimeElapsedColumn(), TextColumn("{task.fields[note]}", markup=False))
+            columns = (
+                TextColumn("{task.description}", markup=False),
+                BarColumn(bar_width=28),
+                TimeElapsedColumn(),
+                TextColumn("{task.fields[note]}", markup=False),
+            )
             self._progress = Progress(*columns, console=console, transient=True)
             self._task = self._progress.add_task(self.title, total=self.total, note=self._note)
             self._progress.start()

@@ -18,9 +18,7 @@ from stereorelight.cli.common import force_option, frames_option, json_option, r
 @space_option
 @force_option
 @json_option
-def command(
-    left: str, right: str, rig_path: Path, folder: Path, frames: str | None, colour_space: str, force: bool, as_json: bool
-) -> None:
+def command(left: str, right: str, rig_path: Path, folder: Path, frames: str | None, colour_space: str, force: bool, as_json: bool) -> None:
     """LEFT and RIGHT with their lenses undone and their rows aligned.
 
     Writes left and right as scene-linear EXR (NaN where a plate does not reach) and rig.json, the rig of the rectified
@@ -31,8 +29,8 @@ def command(
     from stereorelight.footage.frames import write_frame
     from stereorelight.interchange.rigs import read_rig, write_rig
     from stereorelight.passes import Frame
-    from stereorelight.shot.pairs import EYES, pairs, read_upright
     from stereorelight.shot.judge import rig_of_rectified
+    from stereorelight.shot.pairs import EYES, pairs, read_upright
     from stereorelight.stereo.rectify import rectification
 
     rectified = rectification(read_rig(rig_path))

@@ -73,7 +73,9 @@ def command(
                     raise PassError(f"{surfaces.path(number)}: has no pass {name!r}; make it with `stereorelight passes`")
             if light_on.shape[:2] != frame.size_hw:
                 sizes = [f"{h}x{w}" for w, h in (light_on.shape[:2], frame.size_hw)]
-                raise PassError(f"{surfaces.path(number)}: is {sizes[1]}, but the plate {pictures.path(number)} is {sizes[0]}; use passes of this plate")
+                raise PassError(
+                    f"{surfaces.path(number)}: is {sizes[1]}, but the plate {pictures.path(number)} is {sizes[0]}; use passes of this plate"
+                )
             layers = light_layers(frame["P"], frame["N"], light_on, lights, camera=frame.camera)
             beauty = relight(light_on, layers, plate_gain=plate_gain)
             relit = Frame(passes={"beauty": beauty, **layers}, camera=frame.camera, eye=frame.eye, number=number, metadata=frame.metadata)

@@ -9,7 +9,7 @@ import click
 from stereorelight.cli.common import force_option, json_option, report
 
 
-class Size(click.ParamType):
+class Size(click.ParamType[tuple[int, int]]):
     """WIDTHxHEIGHT in pixels."""
 
     name = "WxH"

@@ -25,40 +25,42 @@ from stereorelight.shot.schema import Shot
 from stereorelight.shot.template import shot_text
 
 NAME = "motorcycle"
-# Chosen by eye on the P pass: the engine is about 2.4 m away, the back wall 4 to 5 m.
+# Chosen by eye on the P pass: the engine is at (0.3, -0.2, -2.4), the floor at y = -0.5, the shelves 4 m away.
 LIGHTS: tuple[dict[str, Any], ...] = (
     {
-        "comment": "warm, low, beside the engine",
+        "comment": "a warm lamp close to the engine",
         "name": "engine",
         "type": "point",
-        "position_m": [0.1, -0.1, -1.9],
-        "intensity": 0.7,
-        "color": [1.0, 0.55, 0.22],
-        "specular": 0.08,
-        "exponent": 30.0,
+        "position_m": [0.02, -0.12, -2.08],
+        "intensity": 0.2,
+        "color": [1.0, 0.56, 0.22],
+        "specular": 0.06,
+        "exponent": 40.0,
     },
     {
-        "comment": "cool, from the upper left, like a window at dusk",
-        "name": "dusk",
+        "comment": "moonlight from the right and behind",
+        "name": "moon",
         "type": "directional",
-        "azimuth_deg": -65.0,
-        "elevation_deg": 35.0,
-        "intensity": 0.5,
-        "color": [0.45, 0.65, 1.0],
+        "azimuth_deg": 100.0,
+        "elevation_deg": 32.0,
+        "intensity": 0.28,
+        "color": [0.42, 0.62, 1.0],
+        "specular": 0.05,
+        "exponent": 20.0,
     },
     {
-        "comment": "a pool of light on the wall behind",
-        "name": "pool",
+        "comment": "a work light over the shelves",
+        "name": "shelf",
         "type": "spot",
-        "position_m": [0.9, 1.2, -2.6],
-        "aim_m": [0.5, 0.2, -4.5],
-        "cone_deg": 40.0,
-        "penumbra_deg": 15.0,
-        "intensity": 4.0,
-        "color": [1.0, 0.85, 0.6],
+        "position_m": [0.75, 1.5, -2.7],
+        "aim_m": [0.75, 0.35, -3.9],
+        "cone_deg": 35.0,
+        "penumbra_deg": 20.0,
+        "intensity": 0.6,
+        "color": [0.75, 1.0, 0.9],
     },
 )
-PLATE_GAIN = 0.25
+PLATE_GAIN = 0.04  # what is left of the garage's own light
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,9 +101,7 @@ def write_demo(folder: Path) -> DemoFiles:
     if not files.rig.exists():
         write_rig(files.rig, rig_of_rectified(pair.rig))
     if not files.shot.exists():
-        text = shot_text(
-            left="plates/left.png", right="plates/right.png", name=NAME, lights=LIGHTS, plate_gain=PLATE_GAIN, command=str(files.shot)
-        )
+        text = shot_text(left="plates/left.png", right="plates/right.png", name=NAME, lights=LIGHTS, plate_gain=PLATE_GAIN, command=str(files.shot))
         write_text(files.shot, text)
     if files.new:
         write_frame(files.truth, true_frame(pair), half=False)  # last: its presence says that the folder is whole

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from stereorelight import __version__
 from stereorelight.arrays import Float32
 from stereorelight.camera import Camera
 from stereorelight.comp import relight
@@ -19,10 +20,8 @@ from stereorelight.footage.plates import read_plate
 from stereorelight.light.shade import light_layers
 from stereorelight.passes import Frame
 from stereorelight.shot.depths import surface_of
-from stereorelight.shot.pairs import Pair, flip_word, read_upright
-from stereorelight.shot.receipt import versions
+from stereorelight.shot.pairs import Pair, flip_word, read_upright, recover_pair
 from stereorelight.shot.schema import Shot
-from stereorelight.stereo.depth import recover
 from stereorelight.stereo.rectify import Rectification
 
 MATCH_NOISE_PX = 0.05  # what a good disparity is off by; nearer to it, a window need not grow
@@ -71,7 +70,7 @@ class FrameJob:
 
     def words(self, step: str) -> dict[str, str]:
         """What a file's header says of how it was made."""
-        return {"software": f"stereorelight {versions()['stereorelight']}", "shot": self.shot.name, "step": step} | flip_word(self.rectification, "left")
+        return {"software": f"stereorelight {__version__}", "shot": self.shot.name, "step": step} | flip_word(self.rectification, "left")
 
     @cached_property
     def plates(self) -> tuple[Float32, Float32]:
@@ -89,7 +88,7 @@ class FrameJob:
 
     def recovered(self) -> Frame:
         """Z, confidence and flags, found now."""
-        found = recover(*self.plates, self.rectification, settings=self.shot.depth)
+        found = recover_pair(self.pair, self.plates, self.rectification, settings=self.shot.depth)
         frame = replace(found.frame, number=self.pair.number, metadata=self.words("depth"))
         self.search_figures = {"searched_px": [found.search.low, found.search.high], "vertical_px": _rounded(found.vertical_px)}
         self.__dict__["depth"] = frame

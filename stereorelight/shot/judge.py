@@ -17,7 +17,8 @@ from stereorelight.interchange.rigs import read_rig
 from stereorelight.passes import Flag, Frame
 from stereorelight.synth.rigs import rectified_rig
 
-PASS = {"depth": "Z", "disparity": "disparity", "normals": "N"}
+What = Literal["depth", "disparity", "normals"]
+PASS: dict[What, str] = {"depth": "Z", "disparity": "disparity", "normals": "N"}
 
 
 def rig_of_rectified(rig: RectifiedRig) -> Rig:
@@ -34,7 +35,7 @@ def nonoccluded(truth: Frame) -> Bool | None:
 
 
 def compared(
-    result: str | Path, truth: str | Path, what: Literal["depth", "disparity", "normals"], *, rig_path: str | Path | None = None
+    result: str | Path, truth: str | Path, what: What, *, rig_path: str | Path | None = None
 ) -> DepthFigures | DisparityFigures | NormalFigures:
     """Figures of one pass of file `result` against file `truth`.
 

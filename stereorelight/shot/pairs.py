@@ -9,9 +9,12 @@ from pathlib import Path
 
 from stereorelight.arrays import Float32
 from stereorelight.camera import Eye
+from stereorelight.errors import PlateError
 from stereorelight.footage.plates import read_pair
 from stereorelight.footage.sequence import Sequence, common_frames
+from stereorelight.stereo.depth import Recovered, recover
 from stereorelight.stereo.rectify import Rectification
+from stereorelight.stereo.settings import DepthSettings
 
 EYES: tuple[Eye, Eye] = ("left", "right")
 FLIPPED = "plate_flipped_back"
@@ -47,6 +50,16 @@ def read_upright(pair: Pair, rectification: Rectification, *, colour_space: str 
     """
     left, right = read_pair(pair.left, pair.right, colour_space=colour_space, rig=rectification.original)
     return rectification.upright(left, "left"), rectification.upright(right, "right")
+
+
+def recover_pair(
+    pair: Pair, plates: tuple[Float32, Float32], rectification: Rectification, *, settings: DepthSettings, eye: Eye = "left"
+) -> Recovered:
+    """`stereo.depth.recover` of upright plates; its PlateErrors name the two files."""
+    try:
+        return recover(*plates, rectification, settings=settings, eye=eye)
+    except PlateError as error:
+        raise PlateError(f"{pair.left} and {pair.right}: {error}") from None
 
 
 def flip_word(rectification: Rectification, eye: Eye) -> dict[str, str]:

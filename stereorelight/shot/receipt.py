@@ -104,7 +104,7 @@ class Receipt:
         """Note that `step` is about to write `files`, so that a run that stops half way knows them as its own."""
         before = self.steps.get(step, {}).get("files", {})
         names = [f.relative_to(self.root).as_posix() for f in files]
-        self.steps[step] = {"key": key, "done": False, "files": {**before, **{n: None for n in names}}}
+        self.steps[step] = {"key": key, "done": False, "files": {**before, **dict.fromkeys(names)}}
         self._write()
 
     def finish(self, step: str, files: Iterable[Path], figures: Mapping[str, Any], seconds: float) -> None:

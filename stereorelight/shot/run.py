@@ -116,17 +116,23 @@ def _do(step: Step, job: FrameJob, receipt: Receipt, key: str, *, force: bool) -
         if file.exists() and not force and not receipt.owns(file):
             raise OutputError(f"{file}: exists and was not written by a run of this shot; move it away, or give --force to replace it")
     before = time.monotonic()
+    made = step.make(job)
     receipt.begin(step.name, key, files)
-    figures = step.do(job)
+    made.write()
     seconds = time.monotonic() - before
-    receipt.finish(step.name, files, figures, seconds)
+    receipt.finish(step.name, files, made.figures, seconds)
     return seconds
 
 
 def _writable(folder: Path) -> None:
-    """Find out before any work whether results can be written."""
+    """Find out before any work whether results can be written; leaves nothing behind."""
+    existed = folder.exists()
     make_folder(folder)
-    write_text(folder / ".writable", "", force=True).unlink()
+    try:
+        write_text(folder / ".writable", "", force=True).unlink()
+    finally:
+        if not existed:
+            folder.rmdir()
 
 
 def run_shot(
@@ -201,4 +207,3 @@ def _head(shot: Shot, pair: Pair, rig_path: Path, sources: dict[str, str]) -> di
         "settings": shot.tables.model_dump(mode="json"),
         "versions": dict(versions()),
     }
-

@@ -17,10 +17,10 @@ from typing import Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from stereorelight.errors import ShotError, StereoRelightError, nearest_hint
+from stereorelight.footage.colour import checked_space
 from stereorelight.light.lights import Light, lights_from_dicts
 from stereorelight.stereo.settings import DepthSettings
 
-VERSION = 1
 HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
 KEY = re.compile(r"^\s*[\"']?([A-Za-z0-9_-]+)[\"']?\s*(?:=|\.)")
 NAME = r"^[A-Za-z][A-Za-z0-9_-]*$"
@@ -70,7 +70,7 @@ class OutputTable(Table):
 
 
 class ShotTables(Table):
-    version: Literal[1] = VERSION
+    version: Literal[1] = 1
     plates: PlatesTable
     rig: RigTable = RigTable()
     depth: DepthTable = DepthTable()
@@ -244,6 +244,11 @@ def read_shot(path: str | Path) -> Shot:
     except StereoRelightError as error:
         key = next((k for k in DepthTable.model_fields if k in str(error)), "quality")
         raise ShotError(f"{_where(path, lines, ('depth', key))}: {error}") from None
+    try:
+        if tables.plates.colour_space.lower() != "auto":
+            checked_space(tables.plates.colour_space)
+    except StereoRelightError as error:
+        raise ShotError(f"{_where(path, lines, ('plates', 'colour_space'))}: {error}") from None
     output = tables.output
     if output.preview_near_m and output.preview_far_m and output.preview_near_m >= output.preview_far_m:
         where = _where(path, lines, ("output", "preview_near_m"))

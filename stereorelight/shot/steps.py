@@ -12,15 +12,24 @@ from typing import Any
 
 import numpy as np
 
+from stereorelight.arrays import Float32, UInt8
 from stereorelight.footage.frames import write_frame
 from stereorelight.footage.stills import write_still
 from stereorelight.light.lights import to_dict
 from stereorelight.passes import Flag, Frame
-from stereorelight.shot import pictures
 from stereorelight.shot.job import FrameJob
+from stereorelight.shot.pictures import SCENE, relit_names, relit_pictures, scene_pictures
 from stereorelight.shot.schema import Shot
 
 Figures = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Made:
+    """A result in memory: its figures, and what writes it.  Nothing is on disk before `write`."""
+
+    figures: Figures
+    write: Callable[[], object]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +38,7 @@ class Step:
 
     after    : the steps whose results it reads.      sources  : whether it reads the plates and the rig itself.
     rooms    : the code that makes its result.        settings : the plain values of the shot file that it reads.
-    files    : what it writes for a frame.            do       : makes and writes them; returns figures.
+    files    : what it writes for a frame.            make     : makes the result, and what writes it.
     wanted   : whether the shot asks for it.          ranged   : whether it reads the shot's preview range.
     """
 
@@ -39,7 +48,7 @@ class Step:
     rooms: tuple[str, ...]
     settings: Callable[[Shot], Any]
     files: Callable[[FrameJob], list[Path]]
-    do: Callable[[FrameJob], Figures]
+    make: Callable[[FrameJob], Made]
     wanted: Callable[[Shot], bool] = lambda shot: True
     ranged: bool = False
 
@@ -57,7 +66,7 @@ def depth_figures(frame: Frame) -> Figures:
     if known.any():
         near, middle, far = np.percentile(Z[known], (2, 50, 98))
         figures |= {"near_m": round(float(near), 4), "median_m": round(float(middle), 4), "far_m": round(float(far), 4)}
-    if "confidence" in frame:
+    if "confidence" in frame and np.isfinite(frame["confidence"]).any():
         figures["mean_confidence"] = round(float(np.nanmean(frame["confidence"])), 4)
     return figures
 
@@ -67,7 +76,7 @@ def surface_figures(frame: Frame) -> Figures:
     return {f"{name}_cover_percent": _percent(np.isfinite(frame[name]).all(axis=-1).mean()) for name in ("P", "N")}
 
 
-def relight_figures(layers: Mapping[str, np.ndarray], beauty: np.ndarray) -> Figures:
+def relight_figures(layers: Mapping[str, Float32], beauty: Float32) -> Figures:
     """Largest value, pixels without one, and each layer's mean and the share of the picture that it reaches."""
     known = np.isfinite(beauty).all(axis=-1)
     figures: Figures = {
@@ -79,32 +88,28 @@ def relight_figures(layers: Mapping[str, np.ndarray], beauty: np.ndarray) -> Fig
     return figures
 
 
-def _do_depth(job: FrameJob) -> Figures:
-    write_frame(job.depth_path, job.recovered(), force=True)
-    return depth_figures(job.depth) | job.search_figures
+def _make_depth(job: FrameJob) -> Made:
+    frame = job.recovered()
+    return Made(depth_figures(frame) | job.search_figures, lambda: write_frame(job.depth_path, frame, force=True))
 
 
-def _do_passes(job: FrameJob) -> Figures:
+def _make_passes(job: FrameJob) -> Made:
     frame = job.made_surface()
-    write_frame(job.passes_path, frame, force=True)
-    return surface_figures(frame)
+    return Made(surface_figures(frame), lambda: write_frame(job.passes_path, frame, force=True))
 
 
-def _do_relight(job: FrameJob) -> Figures:
-    frame = Frame(
-        passes={"beauty": job.beauty, **job.layers},
-        camera=job.camera,
-        number=job.pair.number,
-        metadata=job.words("relight"),
-    )
-    write_frame(job.relit_path, frame, half=job.shot.tables.output.colour == "half", force=True)
-    return relight_figures(job.layers, job.beauty)
+def _make_relit(job: FrameJob) -> Made:
+    half = job.shot.tables.output.colour == "half"
+    frame = Frame(passes={"beauty": job.beauty, **job.layers}, camera=job.camera, number=job.pair.number, metadata=job.words("relight"))
+    return Made(relight_figures(job.layers, job.beauty), lambda: write_frame(job.relit_path, frame, half=half, force=True))
 
 
-def _write_pictures(job: FrameJob, made: Mapping[str, np.ndarray]) -> Figures:
-    for name, picture in made.items():
-        write_still(job.preview_path(name), picture, force=True)
-    return {}
+def _make_pictures(job: FrameJob, made: Mapping[str, UInt8]) -> Made:
+    def write() -> None:
+        for name, picture in made.items():
+            write_still(job.preview_path(name), picture, force=True)
+
+    return Made({}, write)
 
 
 STEPS: tuple[Step, ...] = (
@@ -114,7 +119,7 @@ STEPS: tuple[Step, ...] = (
         rooms=("stereo", "footage", "engine", "shot/job.py"),
         settings=lambda shot: [shot.tables.depth.model_dump(), shot.tables.plates.colour_space],
         files=lambda job: [job.depth_path],
-        do=_do_depth,
+        make=_make_depth,
     ),
     Step(
         name="passes",
@@ -122,7 +127,7 @@ STEPS: tuple[Step, ...] = (
         rooms=("surface", "footage", "engine", "shot/job.py"),
         settings=lambda shot: shot.tables.surface.model_dump(),
         files=lambda job: [job.passes_path],
-        do=_do_passes,
+        make=_make_passes,
     ),
     Step(
         name="relight",
@@ -130,15 +135,15 @@ STEPS: tuple[Step, ...] = (
         rooms=("light", "comp.py", "footage", "engine", "shot/job.py"),
         settings=lambda shot: [[to_dict(light) for light in shot.lights], shot.tables.relight.model_dump(), shot.tables.output.colour],
         files=lambda job: [job.relit_path],
-        do=_do_relight,
+        make=_make_relit,
     ),
     Step(
         name="previews",
         after=("depth", "passes"),
         rooms=("footage", "shot/pictures.py"),
         settings=lambda shot: None,
-        files=lambda job: [job.preview_path(name) for name in pictures.SCENE],
-        do=lambda job: _write_pictures(job, pictures.scene_pictures(job)),
+        files=lambda job: [job.preview_path(name) for name in SCENE],
+        make=lambda job: _make_pictures(job, scene_pictures(job)),
         wanted=lambda shot: shot.tables.output.previews,
         ranged=True,
     ),
@@ -147,8 +152,8 @@ STEPS: tuple[Step, ...] = (
         after=("previews", "relight"),
         rooms=("footage", "shot/pictures.py"),
         settings=lambda shot: None,
-        files=lambda job: [job.preview_path(name) for name in pictures.relit_names(job.shot)],
-        do=lambda job: _write_pictures(job, pictures.relit_pictures(job)),
+        files=lambda job: [job.preview_path(name) for name in relit_names(job.shot)],
+        make=lambda job: _make_pictures(job, relit_pictures(job)),
         wanted=lambda shot: shot.tables.output.previews,
         ranged=True,
     ),

@@ -37,7 +37,15 @@ LIGHTS: tuple[dict[str, Any], ...] = (
         "specular": 0.05,
         "exponent": 24.0,
     },
-    {"comment": "cool, from the left", "name": "fill", "type": "directional", "azimuth_deg": -60.0, "elevation_deg": 10.0, "intensity": 0.4, "color": [0.5, 0.7, 1.0]},
+    {
+        "comment": "cool, from the left",
+        "name": "fill",
+        "type": "directional",
+        "azimuth_deg": -60.0,
+        "elevation_deg": 10.0,
+        "intensity": 0.4,
+        "color": [0.5, 0.7, 1.0],
+    },
 )
 
 

@@ -31,14 +31,14 @@ far_m = 20.0               # farthest one"""
 METHOD = "normals: plane (edge-aware fit) or difference (as in the paper)"
 GAIN = "the plate's own light is multiplied by this before the lights are added"
 LIGHTS = """\
-As many lights as you like; each gives its own layers in out/relit.  Kinds and their keys:
+As many lights as you like; each gives its own layers in the relit EXR.  Kinds, and the keys of their own:
 
-    point        position_m
-    directional  azimuth_deg and elevation_deg (where the light comes from), or aim
-    spot         position_m, aim_m, cone_deg, penumbra_deg
+    point        position_m, attenuation ("inverse_square", "linear", "none", or "radius" with radius_m)
+    directional  azimuth_deg (to the right) and elevation_deg (up) of where it comes from, or aim, the way it travels
+    spot         as point, with aim_m (a point) or direction, cone_deg (full angle), penumbra_deg (the soft edge)
 
-and for each of them: name, on, intensity (1 makes a white card that faces the light at 1 m read 1.0), colour,
-attenuation, diffuse, specular."""
+and for each of them: name, enabled, intensity (1 makes a white card that faces the light at 1 m read 1.0), exposure
+(stops), color, diffuse and specular (strengths), exponent (10 is dull, 200 is glossy), wrap (0 to 1)."""
 OUTPUT = """\
 preview_near_m = 1.0       # nearest and farthest distance in the depth previews;
 preview_far_m = 8.0        # measured once on the first frame when left out"""
