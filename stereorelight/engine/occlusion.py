@@ -14,7 +14,7 @@ f4 = np.float32
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _hidden(first, end, disparity, by, out):
+def _unseen(first, end, disparity, by, out):
     W = disparity.shape[1]
     nearest = np.empty(W, np.float32)
     for y in range(first, end):
@@ -28,43 +28,42 @@ def _hidden(first, end, disparity, by, out):
         for x in range(W):
             d = disparity[y, x]
             k = int(np.floor(f4(x) - d + f4(0.5)))
-            out[y, x] = 0 <= k < W and nearest[k] > d + by
+            out[y, x] = not 0 <= k < W or nearest[k] > d + by
 
 
-def hidden(disparity: Float32, *, by_px: float = 1.0) -> Bool:
-    """(H, W) bool: pixels that land in the right eye where a surface nearer by more than `by_px` lands too."""
+def unseen(disparity: Float32, *, by_px: float = 1.0) -> Bool:
+    """(H, W) bool: pixels that land outside the right eye's frame, or where a surface nearer by more than `by_px` lands too."""
     out = np.empty(disparity.shape, np.bool_)
-    in_row_blocks(lambda first, end: _hidden(first, end, disparity, f4(by_px), out), disparity.shape[0])
+    in_row_blocks(lambda first, end: _unseen(first, end, disparity, f4(by_px), out), disparity.shape[0])
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill(first, end, disparity, hole, out):
+def _behind(first, end, disparity, source, out):
     W = disparity.shape[1]
     before = np.empty(W, np.float32)
     for y in range(first, end):
         last = f4(np.inf)
         for x in range(W):
-            if not hole[y, x]:
+            if source[y, x]:
                 last = disparity[y, x]
             before[x] = last
         last = f4(np.inf)
         for x in range(W - 1, -1, -1):
-            if not hole[y, x]:
+            if source[y, x]:
                 last = disparity[y, x]
-                out[y, x] = last
-            else:
-                farther = min(before[x], last)
-                out[y, x] = farther if farther < f4(np.inf) else disparity[y, x]
+            farther = min(before[x], last)
+            out[y, x] = farther if farther < f4(np.inf) else disparity[y, x]
 
 
-def background_fill(disparity: Float32, hole: Bool) -> Float32:
-    """Each hole takes the farther of the nearest values beside it on its row; a row without any keeps its own.
+def background(disparity: Float32, source: Bool) -> Float32:
+    """(H, W) what lies behind each pixel: the farther of the nearest `source` values on either side of it on its row.
 
-    Ground that only one eye sees belongs to what lies behind, so it is never a blend of actor and wall.
+    Ground that only one eye sees belongs to what lies behind, so it is never a blend of actor and wall.  A row without
+    any source keeps its own values.
     """
     out = np.empty(disparity.shape, np.float32)
-    in_row_blocks(lambda first, end: _fill(first, end, disparity, hole, out), disparity.shape[0])
+    in_row_blocks(lambda first, end: _behind(first, end, disparity, source, out), disparity.shape[0])
     return out
 
 

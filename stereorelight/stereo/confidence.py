@@ -52,7 +52,7 @@ def evidence(proxy: Proxy, found: Match, refined: Refined, confirmed: Bool, flow
     return Evidence(
         disparity=d,
         confirmed=confirmed,
-        unseen=refined.hidden,
+        unseen=refined.unseen,
         matched=found.left,
         flow=np.full_like(d, np.nan) if flow is None else flow,
         texture=cv2.blur(np.abs(rate), WINDOW),
@@ -78,8 +78,8 @@ def reasons(refined: Refined, confirmed: Bool, left_known: Bool, right_known: Bo
     for reason, where in (
         (Flag.FILLED, ~confirmed),
         (Flag.OUT_OF_VIEW, ~seen),
-        (Flag.OCCLUDED, seen & refined.hidden),
-        (Flag.UNMATCHED, ~confirmed & seen & ~refined.hidden),
+        (Flag.OCCLUDED, seen & refined.unseen),
+        (Flag.UNMATCHED, ~confirmed & seen & ~refined.unseen),
         (Flag.BAD_PLATE, ~left_known),
     ):
         flags |= where.view(np.uint8) * np.uint16(reason)

@@ -76,7 +76,7 @@ def _flipped(depth: RectifiedDepth) -> RectifiedDepth:
         return np.ascontiguousarray(a[:, ::-1])
 
     r = depth.refined
-    refined = Refined(disparity=turn(r.disparity), slope_x=-turn(r.slope_x), slope_y=turn(r.slope_y), hidden=turn(r.hidden))
+    refined = Refined(disparity=turn(r.disparity), slope_x=-turn(r.slope_x), slope_y=turn(r.slope_y), unseen=turn(r.unseen))
     return RectifiedDepth(refined=refined, confidence=turn(depth.confidence), flags=turn(depth.flags), vertical_px=depth.vertical_px)
 
 

@@ -21,6 +21,7 @@ COARSE_REACH = 0.6  # of the frame's width: no disparity beyond it is looked for
 TAIL = 0.002  # share of believed matches at either end that does not widen the range
 BEHIND_LIMIT = 0.6  # share of believed matches behind the rig at which the eyes must be swapped
 BLOCK = 3
+SPECKLE_PX = 60  # an island of disparity smaller than this is a wrong match
 P1, P2 = 4 * BLOCK**2, 24 * BLOCK**2  # penalties of a step by one and of a jump, per channel
 
 
@@ -55,7 +56,7 @@ class Match:
 
 
 def _sgbm(search: DisparityRange, channels: int, mode: int) -> cv2.StereoSGBM:
-    return cv2.StereoSGBM_create(search.low, search.count, BLOCK, P1 * channels, P2 * channels, 1, 63, 0, 0, 0, mode)
+    return cv2.StereoSGBM_create(search.low, search.count, BLOCK, P1 * channels, P2 * channels, 1, 63, 0, SPECKLE_PX, 1, mode)
 
 
 def _padded(picture: UInt8, search: DisparityRange) -> tuple[UInt8, int]:

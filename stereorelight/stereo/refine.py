@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from stereorelight.arrays import Bool, Float32
-from stereorelight.engine.occlusion import background_fill, hidden
+from stereorelight.engine.occlusion import background, unseen
 from stereorelight.engine.photometric import brightness_residual, measured_disparity
 from stereorelight.engine.refine import Planes, robust_planes
 from stereorelight.stereo.proxy import Proxy
@@ -23,12 +23,12 @@ from stereorelight.stereo.proxy import Proxy
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """disparity and its slopes along x and y, each (H, W) float32; hidden: ground the right eye cannot see."""
+    """disparity and its slopes along x and y, each (H, W) float32; unseen: ground that the right eye cannot see."""
 
     disparity: Float32
     slope_x: Float32
     slope_y: Float32
-    hidden: Bool
+    unseen: Bool
 
 
 def sub_pixel(proxy: Proxy, disparity: Float32, *, smoothness: float = 10.0, gradient: float = 10.0, iterations: int = 2) -> Float32:
@@ -90,11 +90,12 @@ def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EF
     tau_px    : how far off a plane a neighbour may lie and still belong to the surface.
     """
     fine = sub_pixel(proxy, dense, iterations=effort.variational)
-    unseen = hidden(fine) & ~confirmed
-    filled = background_fill(fine, unseen)
+    lost = unseen(fine) & ~confirmed
+    # The median takes out streaks: a row whose nearest match is wrong.
+    filled = np.where(lost, cv2.medianBlur(background(fine, confirmed), 5), fine)
     trust = np.where(confirmed, np.float32(1), np.float32(UNSURE_TRUST))
-    trust[unseen] = UNSEEN_TRUST
+    trust[lost] = UNSEEN_TRUST
     planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
     for this in effort.rounds:
         planes = photometric_planes(proxy, planes, trust, this, tau_px=tau_px)
-    return Refined(disparity=planes[0], slope_x=planes[1], slope_y=planes[2], hidden=unseen)
+    return Refined(disparity=planes[0], slope_x=planes[1], slope_y=planes[2], unseen=lost)
