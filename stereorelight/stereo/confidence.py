@@ -3,7 +3,7 @@
 In: the match, the refined disparity and the flow's second opinion.  Out: confidence (H, W), the share of such pixels
 within 1 px of truth, and reason flags.  The evidence: the right eye confirms the match; the flow confirms it; the refined
 value stays near the matched one; the picture has texture there; the plates look alike along the match; no edge is near.
-A logistic regression weighs it.  Its coefficients were fitted on synthetic shots; docs/confidence.md shows the check on
+A logistic regression weighs it.  Its coefficients were fitted on synthetic shots; docs/depth.md shows the check on
 footage that had no part in the fit."""
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import Refined
 
 EVIDENCE = ("always", "confirmed", "flow agrees", "moved, px", "no match", "log texture", "log unlike", "edge nearby", "unseen")
-COEFFICIENTS = np.array([0.4, 1.6, 0.8, -1.0, -0.6, 0.5, -0.9, -0.8, -2.0], dtype=np.float32)
+COEFFICIENTS = np.array([1.55, 1.51, 1.36, -0.33, 0.03, 1.44, -0.22, -1.85, 0.03], dtype=np.float32)
 LOWEST, HIGHEST = 0.01, 0.995
 WINDOW = (7, 7)
 

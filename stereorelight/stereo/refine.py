@@ -83,6 +83,15 @@ def photometric_planes(proxy: Proxy, planes: Planes, trust: Float32, this: Round
     return robust_planes(planes[0], weight, radius=this.radius, stride=this.stride, tau_px=tau_px, slopes=planes[1:], target=target, passes=1)
 
 
+def _out_of_range(disparity: Float32, confirmed: Bool) -> Bool:
+    """(H, W) bool: beyond everything that both eyes confirm; such a value is not even a guess."""
+    sure = disparity[confirmed]
+    if sure.size < 100:
+        return np.zeros(disparity.shape, np.bool_)
+    low, high = np.quantile(sure[:: max(1, sure.size // 50_000)], (0.001, 0.999))
+    return (disparity < low - 0.5) | (disparity > high + 0.5)
+
+
 def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EFFORTS["standard"], tau_px: float = 0.5) -> Refined:
     """The refined disparity of the left eye.
 
@@ -90,7 +99,7 @@ def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EF
     tau_px    : how far off a plane a neighbour may lie and still belong to the surface.
     """
     fine = sub_pixel(proxy, dense, iterations=effort.variational)
-    lost = unseen(fine) & ~confirmed
+    lost = (unseen(fine) | _out_of_range(fine, confirmed)) & ~confirmed
     # The median takes out streaks: a row whose nearest match is wrong.
     filled = np.where(lost, cv2.medianBlur(background(fine, confirmed), 5), fine)
     trust = np.where(confirmed, np.float32(1), np.float32(UNSURE_TRUST))
