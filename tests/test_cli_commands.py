@@ -180,10 +180,10 @@ def test_a_sequence_by_hand(tmp_path: Path) -> None:
 def test_a_demo_keeps_what_the_user_edited(tmp_path: Path) -> None:
     files = write_demo(tmp_path / "demo")
     assert files.new
-    files.shot.write_text(files.shot.read_text().replace("intensity = 0.2", "intensity = 0.3"))
+    files.shot.write_text(files.shot.read_text().replace("intensity = 0.3", "intensity = 0.35"))
     again = write_demo(tmp_path / "demo")
     assert not again.new
-    assert "intensity = 0.3" in files.shot.read_text()
+    assert "intensity = 0.35" in files.shot.read_text()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "letter.txt").write_text("mine")
     result = call("demo", "--out", tmp_path / "other")

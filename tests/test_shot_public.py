@@ -15,5 +15,5 @@ def test_every_public_name_is_there() -> None:
 
 def test_the_type_checker_sees_the_same_names() -> None:
     text = Path(str(stereorelight.__file__)).read_text()
-    told = dict((name, home) for home, name in re.findall(r"from stereorelight\.([\w.]+) import (\w+) as \2", text))
+    told = {name: home for home, name in re.findall(r"from stereorelight\.([\w.]+) import (\w+) as \2", text)}
     assert told == stereorelight._HOME

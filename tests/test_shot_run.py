@@ -15,9 +15,9 @@ from stereorelight.footage.frames import read_frame
 from stereorelight.footage.plates import read_plate
 from stereorelight.footage.stills import read_still, write_still
 from stereorelight.interchange.rigs import read_rig, write_rig
-from stereorelight.shot import run as run_module
-from stereorelight.shot import steps
-from stereorelight.shot.run import Event, run_shot
+from stereorelight.shot import frame, steps
+from stereorelight.shot.frame import Event
+from stereorelight.shot.run import run_shot
 from stereorelight.shot.synthetic import write_shot
 
 SIZE = (160, 90)
@@ -215,8 +215,8 @@ def test_the_receipt_says_what_was_done(still: Path) -> None:
 
 
 def test_code_is_part_of_the_key(shot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = run_module.code_digest
-    monkeypatch.setattr(run_module, "code_digest", lambda *rooms: real(*rooms) + ("new" if "light" in rooms else ""))
+    real = frame.code_digest
+    monkeypatch.setattr(frame, "code_digest", lambda *rooms: real(*rooms) + ("new" if "light" in rooms else ""))
     assert done(shot / "shot.toml") == ["relight", "relit previews"]
 
 
@@ -231,6 +231,16 @@ def test_a_sequence_runs_by_frame_and_does_not_pump(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "out" / "run.json").read_text())["preview_range"] == noted
     assert {p.name for p in (tmp_path / "out" / "depth").iterdir()} == {f"sphere.{n}.exr" for n in (1001, 1002, 1003)}
     assert (tmp_path / "out" / "previews" / "sphere.relit.1003.png").exists()
+    before = contents(tmp_path / "out")
+    shutil.rmtree(tmp_path / "out")
+    shared = run_shot(shot, workers=2)
+    assert shared.frames == whole.frames
+    assert shared.figures.keys() == whole.figures.keys()
+    assert contents(tmp_path / "out")["depth/sphere.1003.exr"] == before["depth/sphere.1003.exr"]
+    shutil.rmtree(tmp_path / "out")
+    run_shot(shot, frames="1002-1002")
+    run_shot(shot)
+    assert contents(tmp_path / "out") == before
     (tmp_path / "plates" / "right.1003.png").unlink()
     with pytest.raises(PlateError, match=r"right\.1003\.png: frame missing"):
         run_shot(shot)

@@ -6,11 +6,12 @@ import sys
 from pathlib import Path
 
 from stereorelight.cli.progress import Bar
-from stereorelight.shot.run import Event, RunSummary, run_shot
+from stereorelight.shot.frame import Event
+from stereorelight.shot.run import RunSummary, run_shot
 from stereorelight.shot.steps import STEPS
 
 
-def watched_run(shot: Path, *, frames: str | None = None, force: bool = False) -> RunSummary:
+def watched_run(shot: Path, *, frames: str | None = None, force: bool = False, workers: int = 1) -> RunSummary:
     """`run_shot` with a progress bar."""
     with Bar(shot.name, total=len(STEPS)) as bar:
 
@@ -22,4 +23,4 @@ def watched_run(shot: Path, *, frames: str | None = None, force: bool = False) -
             if event.state == "done" and event.frames > 1 and not sys.stderr.isatty():
                 print(f"{event.frame} {event.step}: {event.seconds:.1f} s", file=sys.stderr, flush=True)
 
-        return run_shot(shot, frames=frames, force=force, on_event=show)
+        return run_shot(shot, frames=frames, force=force, workers=workers, on_event=show)

@@ -1,41 +1,30 @@
 """A shot from its plates to the relit picture, frame by frame, doing only what changed.
 
 In: a shot file.  Out: the output folder with depth/, passes/, relit/, previews/, a receipt a frame and run.json.
-Every step has a key: a hash over its inputs, the settings that it reads and the code that does it.  A step whose key and
-files are as the receipt says is not done again, so that a run that stopped goes on where it was."""
+A script that asks for several workers needs the usual `if __name__ == "__main__":`, since each starts as a new Python."""
 
 from __future__ import annotations
 
+import functools
 import json
+import signal
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from stereorelight.errors import OutputError
+from stereorelight.errors import OutputError, ShotError
 from stereorelight.files import make_folder, write_text
-from stereorelight.footage.preview import depth_range
-from stereorelight.interchange.rigs import read_rig, rig_to_dict
-from stereorelight.shot.job import FrameJob
-from stereorelight.shot.pairs import Pair, pairs
-from stereorelight.shot.receipt import Receipt, code_digest, digest, file_digest, versions
-from stereorelight.shot.schema import Shot, read_shot
-from stereorelight.shot.steps import STEPS, Step
-from stereorelight.stereo.rectify import rectification
+from stereorelight.shot.frame import Event, FrameResult, Prepared, prepare, run_frame
+from stereorelight.shot.pairs import Pair
+from stereorelight.shot.receipt import versions
+from stereorelight.threads import set_threads, usable_cores
 
 RUN_VERSION = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Event:
-    """What a run of so many `frames` is doing: `step` of `frame` begins, is done, or stands from an earlier run."""
-
-    frames: int
-    frame: str
-    step: str
-    state: Literal["begins", "done", "stands"]
-    seconds: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,41 +78,6 @@ class RunRecord:
             write_text(self.path, json.dumps(self.data, indent=2) + "\n", force=True)
 
 
-def _key(step: Step, job: FrameJob, keys: dict[str, str], sources: dict[str, str]) -> str:
-    """What `step` of this frame depends on, as one hash."""
-    upstream = {name: keys[name] for name in step.after}
-    inputs = sources if step.sources else {}
-    look = [job.preview_range_m, job.path("previews").name] if step.ranged else None
-    return digest(step.name, upstream, inputs, step.settings(job.shot), code_digest(*step.rooms), dict(versions()), look)
-
-
-def _preview_range(job: FrameJob, record: RunRecord, settings_key: str) -> tuple[float, float]:
-    """The distances that the depth previews span: as set, else as measured on the first frame ever run with these settings."""
-    output = job.shot.tables.output
-    noted = record.data.get("preview_range") or {}
-    if noted.get("key") != settings_key:
-        near, far = depth_range(job.depth["Z"])
-        noted = {"key": settings_key, "near_m": near, "far_m": far, "frame": job.pair.name}
-        record.put(preview_range=noted)
-    near, far = output.preview_near_m or noted["near_m"], output.preview_far_m or noted["far_m"]
-    return float(near), float(max(far, near * 1.02))
-
-
-def _do(step: Step, job: FrameJob, receipt: Receipt, key: str, *, force: bool) -> float:
-    """Do one step and note it in the receipt.  Returns the seconds it took."""
-    files = step.files(job)
-    for file in files:
-        if file.exists() and not force and not receipt.owns(file):
-            raise OutputError(f"{file}: exists and was not written by a run of this shot; move it away, or give --force to replace it")
-    before = time.monotonic()
-    made = step.make(job)
-    receipt.begin(step.name, key, files)
-    made.write()
-    seconds = time.monotonic() - before
-    receipt.finish(step.name, files, made.figures, seconds)
-    return seconds
-
-
 def _writable(folder: Path) -> None:
     """Find out before any work whether results can be written; leaves nothing behind."""
     existed = folder.exists()
@@ -140,70 +94,78 @@ def run_shot(
     *,
     frames: str | None = None,
     force: bool = False,
+    workers: int = 1,
     on_event: Callable[[Event], None] = lambda event: None,
 ) -> RunSummary:
     """Run the shot in file `path`.
 
     frames   : "1001-1010" to run a part; the shot file's frames otherwise.
     force    : do every step again, and replace files that no run of this shot wrote.
+    workers  : processes that share the frames, and the cores; the results are the same for any number.
     on_event : is told what begins and what is done.
     Raises   : ShotError, RigError, PlateError, OutputError; what is finished by then stays.
     """
     started = time.monotonic()
-    shot = read_shot(path)
-    rig_path = shot.resolved(shot.tables.rig.file)
-    rig = read_rig(rig_path)
-    plates = shot.tables.plates
-    found = pairs(shot.resolved(plates.left), shot.resolved(plates.right), frames=frames or plates.frames)
-    rectified = rectification(rig)
-    _writable(shot.folder)
-    record = RunRecord(shot.folder / "run.json")
-    rig_key = digest(rig_to_dict(rig) | {"quality": None})
-    range_key = digest(rig_key, shot.tables.depth.model_dump())
-    done = stood = 0
-    figures: dict[str, dict[str, Any]] = {}
-    for pair in found:
-        job = FrameJob(shot=shot, rectification=rectified, pair=pair)
-        receipt = Receipt(job.receipt_path, shot.folder)
-        sources = {"left": file_digest(pair.left), "right": file_digest(pair.right), "rig": rig_key}
-        receipt.head = _head(shot, pair, rig_path, sources)
-        keys: dict[str, str] = {}
-        figures[pair.name] = {}
-        for step in STEPS:
-            if not step.wanted(shot):
-                continue
-            if step.ranged:
-                job.preview_range_m = _preview_range(job, record, range_key)
-            key = keys[step.name] = _key(step, job, keys, sources)
-            if not force and receipt.stands(step.name, key):
-                stood += 1
-                on_event(Event(frames=len(found), frame=pair.name, step=step.name, state="stands"))
-            else:
-                on_event(Event(frames=len(found), frame=pair.name, step=step.name, state="begins"))
-                seconds = _do(step, job, receipt, key, force=force)
-                done += 1
-                on_event(Event(frames=len(found), frame=pair.name, step=step.name, state="done", seconds=seconds))
-            figures[pair.name][step.name] = receipt.steps[step.name]["figures"]
-    record.put(shot=shot.path.name, name=shot.name, versions=dict(versions()))
+    if workers < 1:
+        raise ShotError(f"workers must be at least 1, got {workers}")
+    ready = prepare(path, frames)
+    folder = ready.shot.folder
+    _writable(folder)
+    record = RunRecord(folder / "run.json")
+    noted = dict(record.data.get("preview_range") or {})
+
+    def one(pair: Pair) -> FrameResult:
+        return run_frame(ready, pair, noted=noted, note=lambda new: record.put(preview_range=new), force=force, on_event=on_event)
+
+    if workers == 1 or len(ready.pairs) == 1:
+        results = [one(pair) for pair in ready.pairs]
+    else:
+        # The first frame here: it settles the preview range for all the others.
+        results = [one(ready.pairs[0])]
+        results += run_in_processes(ready, path, noted=noted, force=force, workers=workers, on_event=on_event)
+    record.put(shot=ready.shot.path.name, name=ready.shot.name, versions=dict(versions()))
     return RunSummary(
-        folder=shot.folder,
-        frames=tuple(p.name for p in found),
-        done=done,
-        stood=stood,
+        folder=folder,
+        frames=tuple(result.frame for result in results),
+        done=sum(result.done for result in results),
+        stood=sum(result.stood for result in results),
         seconds=time.monotonic() - started,
-        figures=figures,
+        figures={result.frame: result.figures for result in results},
     )
 
 
-def _head(shot: Shot, pair: Pair, rig_path: Path, sources: dict[str, str]) -> dict[str, Any]:
-    """What a receipt says of the frame as a whole."""
-    return {
-        "frame": pair.number,
-        "inputs": {
-            "left": {"file": pair.left.as_posix(), "sha256": sources["left"]},
-            "right": {"file": pair.right.as_posix(), "sha256": sources["right"]},
-            "rig": {"file": rig_path.as_posix(), "sha256": file_digest(rig_path)},
-        },
-        "settings": shot.tables.model_dump(mode="json"),
-        "versions": dict(versions()),
-    }
+def run_in_processes(
+    ready: Prepared, path: str | Path, *, noted: dict[str, Any], force: bool, workers: int, on_event: Callable[[Event], None]
+) -> list[FrameResult]:
+    """The frames after the first one, on `workers` processes.  An error of one stops those that have not begun."""
+    rest, count = ready.pairs[1:], len(ready.pairs)
+    workers = min(workers, len(rest))
+    threads = max(1, usable_cores() // workers)
+    # Spawned, not forked: numba's and OpenCV's threads do not survive a fork.
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(threads,)) as pool:
+        waiting = {pool.submit(_frame_in_worker, str(path), pair, noted, force): pair for pair in rest}
+        results: dict[Pair, FrameResult] = {}
+        try:
+            for future in as_completed(waiting):
+                result = results[waiting[future]] = future.result()
+                for step in result.figures:
+                    on_event(Event(frames=count, frame=result.frame, step=step, state="done"))
+        except BrokenProcessPool:
+            raise OutputError("a worker was ended from outside, perhaps for want of memory; run again with fewer --workers") from None
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+    return [results[pair] for pair in rest]
+
+
+def _begin_worker(threads: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer; a frame that has begun is finished
+    set_threads(threads)
+
+
+@functools.lru_cache(maxsize=1)
+def _prepared_once(path: str) -> Prepared:
+    return prepare(path)
+
+
+def _frame_in_worker(path: str, pair: Pair, noted: dict[str, Any], force: bool) -> FrameResult:
+    return run_frame(_prepared_once(path), pair, noted=dict(noted), note=lambda new: None, force=force)

@@ -1,0 +1,158 @@
+"""One frame of a run: every step of it that does not stand from an earlier run.
+
+Every step has a key: a hash over its inputs, the settings that it reads and the code that does it.  A step whose key and
+files are as the receipt says is not done again, so that a run that stopped goes on where it was."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from stereorelight.errors import OutputError
+from stereorelight.footage.preview import depth_range
+from stereorelight.interchange.rigs import read_rig, rig_to_dict
+from stereorelight.shot.job import FrameJob
+from stereorelight.shot.pairs import Pair, pairs
+from stereorelight.shot.receipt import Receipt, code_digest, digest, file_digest, versions
+from stereorelight.shot.schema import Shot, read_shot
+from stereorelight.shot.steps import STEPS, Step
+from stereorelight.stereo.rectify import Rectification, rectification
+
+Note = Callable[[dict[str, Any]], object]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """What a run of so many `frames` is doing: `step` of `frame` begins, is done, or stands from an earlier run."""
+
+    frames: int
+    frame: str
+    step: str
+    state: Literal["begins", "done", "stands"]
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prepared:
+    """A shot that is ready to run: everything read and checked that all frames share.
+
+    rig_key   : hash of the rig's numbers.     range_key : hash of what the preview range depends on.
+    """
+
+    shot: Shot
+    rig_path: Path
+    rectification: Rectification
+    pairs: tuple[Pair, ...]
+    rig_key: str
+    range_key: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameResult:
+    """What was done for one frame; figures by step."""
+
+    frame: str
+    done: int
+    stood: int
+    figures: dict[str, Any]
+
+
+def prepare(path: str | Path, frames: str | None = None) -> Prepared:
+    """Read shot file and rig, and find the frames.  Raises ShotError, RigError, PlateError."""
+    shot = read_shot(path)
+    plates = shot.tables.plates
+    rig_path = shot.resolved(shot.tables.rig.file)
+    rig = read_rig(rig_path)
+    rig_key = digest(rig_to_dict(rig) | {"quality": None})
+    return Prepared(
+        shot=shot,
+        rig_path=rig_path,
+        rectification=rectification(rig),
+        pairs=pairs(shot.resolved(plates.left), shot.resolved(plates.right), frames=frames or plates.frames),
+        rig_key=rig_key,
+        range_key=digest(rig_key, shot.tables.depth.model_dump()),
+    )
+
+
+def _key(step: Step, job: FrameJob, keys: dict[str, str], sources: dict[str, str]) -> str:
+    """What `step` of this frame depends on, as one hash."""
+    upstream = {name: keys[name] for name in step.after}
+    inputs = sources if step.sources else {}
+    look = [job.preview_range_m, job.path("previews").name] if step.ranged else None
+    return digest(step.name, upstream, inputs, step.settings(job.shot), code_digest(*step.rooms), dict(versions()), look)
+
+
+def _preview_range(job: FrameJob, noted: dict[str, Any], range_key: str, note: Note) -> tuple[float, float]:
+    """The distances that the depth previews span: as set, else as measured on the first frame ever run with these settings."""
+    output = job.shot.tables.output
+    if noted.get("key") != range_key:
+        near, far = depth_range(job.depth["Z"])
+        noted.update(key=range_key, near_m=near, far_m=far, frame=job.pair.name)
+        note(dict(noted))
+    near, far = output.preview_near_m or noted["near_m"], output.preview_far_m or noted["far_m"]
+    return float(near), float(max(far, near * 1.02))
+
+
+def _do(step: Step, job: FrameJob, receipt: Receipt, key: str, *, force: bool) -> float:
+    """Do one step and note it in the receipt.  Returns the seconds it took."""
+    files = step.files(job)
+    for file in files:
+        if file.exists() and not force and not receipt.owns(file):
+            raise OutputError(f"{file}: exists and was not written by a run of this shot; move it away, or give --force to replace it")
+    before = time.monotonic()
+    made = step.make(job)
+    receipt.begin(step.name, key, files)
+    made.write()
+    seconds = time.monotonic() - before
+    receipt.finish(step.name, files, made.figures, seconds)
+    return seconds
+
+
+def run_frame(
+    ready: Prepared, pair: Pair, *, noted: dict[str, Any], note: Note, force: bool = False, on_event: Callable[[Event], None] = lambda event: None
+) -> FrameResult:
+    """Every step of one frame that does not stand.
+
+    noted : the preview range of run.json, {} where none is known; `note` is told when it is measured.
+    """
+    shot, count = ready.shot, len(ready.pairs)
+    job = FrameJob(shot=shot, rectification=ready.rectification, pair=pair)
+    receipt = Receipt(job.receipt_path, shot.folder)
+    sources = {"left": file_digest(pair.left), "right": file_digest(pair.right), "rig": ready.rig_key}
+    receipt.head = _head(ready, pair, sources)
+    keys: dict[str, str] = {}
+    figures: dict[str, Any] = {}
+    done = stood = 0
+    for step in STEPS:
+        if not step.wanted(shot):
+            continue
+        if step.ranged:
+            job.preview_range_m = _preview_range(job, noted, ready.range_key, note)
+        key = keys[step.name] = _key(step, job, keys, sources)
+        if not force and receipt.stands(step.name, key):
+            stood += 1
+            on_event(Event(frames=count, frame=pair.name, step=step.name, state="stands"))
+        else:
+            on_event(Event(frames=count, frame=pair.name, step=step.name, state="begins"))
+            seconds = _do(step, job, receipt, key, force=force)
+            done += 1
+            on_event(Event(frames=count, frame=pair.name, step=step.name, state="done", seconds=seconds))
+        figures[step.name] = receipt.steps[step.name]["figures"]
+    return FrameResult(frame=pair.name, done=done, stood=stood, figures=figures)
+
+
+def _head(ready: Prepared, pair: Pair, sources: dict[str, str]) -> dict[str, Any]:
+    """What a receipt says of the frame as a whole."""
+    return {
+        "frame": pair.number,
+        "inputs": {
+            "left": {"file": pair.left.as_posix(), "sha256": sources["left"]},
+            "right": {"file": pair.right.as_posix(), "sha256": sources["right"]},
+            "rig": {"file": ready.rig_path.as_posix(), "sha256": file_digest(ready.rig_path)},
+        },
+        "settings": ready.shot.tables.model_dump(mode="json"),
+        "versions": dict(versions()),
+    }
