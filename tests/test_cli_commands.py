@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -11,9 +12,10 @@ from pathlib import Path
 import click.testing
 import numpy as np
 import pytest
+import rich.console
 
 from stereorelight import __version__
-from stereorelight.cli import main
+from stereorelight.cli import main, progress
 from stereorelight.cli.group import COMMANDS
 from stereorelight.footage.exr import write_exr
 from stereorelight.footage.frames import read_frame
@@ -190,6 +192,22 @@ def test_a_demo_keeps_what_the_user_edited(tmp_path: Path) -> None:
     assert result.exit_code == 1
     assert "something else than a demo" in result.stderr
     assert [p.name for p in (tmp_path / "other").iterdir()] == ["letter.txt"]
+
+
+def test_a_bar_shows_file_names_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """rich takes [brackets] for markup; a file name may hold them.  Nothing is shown of what is over in a second."""
+    shown = io.StringIO()
+    real = rich.console.Console
+    monkeypatch.setattr(rich.console, "Console", lambda **_: real(file=shown, force_terminal=True, width=100))
+    with progress.Bar("[red]a[/nope].toml", total=2) as bar:
+        bar.note("1001", advance=1)
+    assert shown.getvalue() == ""
+    monkeypatch.setattr(progress, "PATIENCE_S", 0.0)
+    with progress.Bar("[red]a[/nope].toml", total=2) as bar:
+        bar._timer.join()
+        bar.note("[b]1001", advance=1)
+    assert "[red]a[/nope].toml" in shown.getvalue()
+    assert "[b]1001" in shown.getvalue()
 
 
 @pytest.mark.slow

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections import defaultdict
 from pathlib import Path
+
+import click
 
 from stereorelight.cli.progress import Bar
 from stereorelight.shot.frame import Event
@@ -12,15 +15,16 @@ from stereorelight.shot.steps import STEPS
 
 
 def watched_run(shot: Path, *, frames: str | None = None, force: bool = False, workers: int = 1) -> RunSummary:
-    """`run_shot` with a progress bar."""
+    """`run_shot` with its progress shown."""
+    steps: dict[str, int] = defaultdict(int)
+    seconds: dict[str, float] = defaultdict(float)
     with Bar(shot.name, total=len(STEPS)) as bar:
 
         def show(event: Event) -> None:
-            if event.state == "begins":
-                bar.note(f"{event.frame} {event.step}", total=event.frames * len(STEPS))
-            else:
-                bar.note(f"{event.frame} {event.step}", advance=1, total=event.frames * len(STEPS))
-            if event.state == "done" and event.frames > 1 and not sys.stderr.isatty():
-                print(f"{event.frame} {event.step}: {event.seconds:.1f} s", file=sys.stderr, flush=True)
+            bar.note(f"{event.frame} {event.step}", advance=int(event.state != "begins"), total=event.frames * event.steps)
+            steps[event.frame] += event.state != "begins"
+            seconds[event.frame] += event.seconds
+            if steps[event.frame] == event.steps and event.frames > 1 and not sys.stderr.isatty():
+                click.echo(f"frame {event.frame}: {seconds[event.frame]:.1f} s", err=True)
 
         return run_shot(shot, frames=frames, force=force, workers=workers, on_event=show)

@@ -22,16 +22,18 @@ from stereorelight.shot.steps import STEPS, Step
 from stereorelight.stereo.rectify import Rectification, rectification
 
 Note = Callable[[dict[str, Any]], object]
+State = Literal["begins", "done", "stands"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """What a run of so many `frames` is doing: `step` of `frame` begins, is done, or stands from an earlier run."""
+    """What a run of so many `frames`, each of so many `steps`, is doing: `step` of `frame` begins, is done, or stands."""
 
     frames: int
+    steps: int
     frame: str
     step: str
-    state: Literal["begins", "done", "stands"]
+    state: State
     seconds: float = 0.0
 
 
@@ -52,12 +54,13 @@ class Prepared:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameResult:
-    """What was done for one frame; figures by step."""
+    """What was done for one frame; figures and seconds by step, no seconds for one that stood."""
 
     frame: str
     done: int
     stood: int
     figures: dict[str, Any]
+    seconds: dict[str, float]
 
 
 def prepare(path: str | Path, frames: str | None = None) -> Prepared:
@@ -118,30 +121,36 @@ def run_frame(
 
     noted : the preview range of run.json, {} where none is known; `note` is told when it is measured.
     """
-    shot, count = ready.shot, len(ready.pairs)
+    shot = ready.shot
     job = FrameJob(shot=shot, rectification=ready.rectification, pair=pair)
     receipt = Receipt(job.receipt_path, shot.folder)
     sources = {"left": file_digest(pair.left), "right": file_digest(pair.right), "rig": ready.rig_key}
     receipt.head = _head(ready, pair, sources)
     keys: dict[str, str] = {}
     figures: dict[str, Any] = {}
+    spent: dict[str, float] = {}
     done = stood = 0
-    for step in STEPS:
-        if not step.wanted(shot):
-            continue
+    wanted = [step for step in STEPS if step.wanted(shot)]
+
+    def tell(step: Step, state: State, seconds: float = 0.0) -> None:
+        on_event(Event(frames=len(ready.pairs), steps=len(wanted), frame=pair.name, step=step.name, state=state, seconds=seconds))
+
+    for step in wanted:
         if step.ranged:
             job.preview_range_m = _preview_range(job, noted, ready.range_key, note)
         key = keys[step.name] = _key(step, job, keys, sources)
         if not force and receipt.stands(step.name, key):
             stood += 1
-            on_event(Event(frames=count, frame=pair.name, step=step.name, state="stands"))
+            spent[step.name] = 0.0
+            tell(step, "stands")
         else:
-            on_event(Event(frames=count, frame=pair.name, step=step.name, state="begins"))
+            tell(step, "begins")
             seconds = _do(step, job, receipt, key, force=force)
             done += 1
-            on_event(Event(frames=count, frame=pair.name, step=step.name, state="done", seconds=seconds))
+            spent[step.name] = seconds
+            tell(step, "done", seconds)
         figures[step.name] = receipt.steps[step.name]["figures"]
-    return FrameResult(frame=pair.name, done=done, stood=stood, figures=figures)
+    return FrameResult(frame=pair.name, done=done, stood=stood, figures=figures, seconds=spent)
 
 
 def _head(ready: Prepared, pair: Pair, sources: dict[str, str]) -> dict[str, Any]:

@@ -148,8 +148,8 @@ def run_in_processes(
         try:
             for future in as_completed(waiting):
                 result = results[waiting[future]] = future.result()
-                for step in result.figures:
-                    on_event(Event(frames=count, frame=result.frame, step=step, state="done"))
+                for step, seconds in result.seconds.items():
+                    on_event(Event(frames=count, steps=len(result.figures), frame=result.frame, step=step, state="done", seconds=seconds))
         except BrokenProcessPool:
             raise OutputError("a worker was ended from outside, perhaps for want of memory; run again with fewer --workers") from None
         finally:
