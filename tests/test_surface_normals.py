@@ -181,6 +181,20 @@ def test_confidence_leaves_neighbours_out() -> None:
     assert np.median(angle_deg(normals_from_depth(Z, camera), true)[~bad]) > 10 * np.median(trusted)
 
 
+def test_spikes_do_not_speak_for_their_neighbours_but_wires_stay() -> None:
+    camera = CAMERAS["pinhole"]
+    far, far_normal = plane(camera, (0.4, 0.3, 1), 3.0)
+    Z = far.copy()
+    spikes = np.random.default_rng(8).random(Z.shape) < 0.01
+    Z[spikes] *= 0.7
+    assert np.percentile(angle_deg(normals_from_depth(Z, camera), far_normal)[~spikes], 99) < FLOAT32_DEG
+    near, near_normal = plane(camera, (-0.5, 0.4, 1), 1.5)
+    wire = np.zeros(Z.shape, dtype=bool)
+    wire[:, 80:83] = True  # the thinnest that a 3x3 window can lie in
+    angle = angle_deg(normals_from_depth(np.where(wire, near, far), camera), np.where(wire[..., None], near_normal, far_normal))
+    assert np.percentile(angle, 99) < FLOAT32_DEG
+
+
 def test_a_scene_twice_as_large_has_the_same_normals() -> None:
     camera = CAMERAS["pinhole"]
     Z, _ = sphere(camera, (0, 0, 1.5), 0.3)

@@ -1,11 +1,11 @@
 """Plane fits on inverse depth in row-blocked kernels, constant cost whatever the window.
 
-In: inverse depth w, ray slopes x and y, weights, all (H, W) float64.  Out: N (H, W, 3) float32, scene frame.
-A window's plane w = a x + b y + c comes from running sums of moments.  At every scale each pixel takes, of the nine windows shifted by
--r, 0 or r that hold it, the one whose plane fits best: a shiftable window ends at a depth edge or a crease and does not straddle it.
-Scales are then weighed per pixel.  Shifting the window and slope differences between scales kill what is the same in both: what is
-left of N_r - N_2r is the noise of scale r where noise rules and the bias of scale 2r where shape rules, so its local mean square is
-least at the best scale.  It needs no noise model and holds for correlated noise as well (docs/decisions).
+In: inverse depth, ray slopes x and y, weights, all (H, W) float64.  Out: N (H, W, 3) float32, scene frame.
+A window's plane w = a x + b y + c comes from running sums of moments.  At every scale each pixel blends the nine windows shifted by
+-r, 0 or r that hold it, by how well their planes fit: beside a depth edge or a crease, only windows that do not straddle it count.
+Then the scales are blended per pixel.  N_r - N_2r is the noise of scale r where noise rules (it falls by 16 in square from scale to
+scale) and the bias of 2r where shape rules (it grows), so its local mean square is least near the best scale.  That needs no model of
+the noise, holds for correlated noise as well, and lets the window follow the data: 3x3 for exact depth, 65x65 for bad.
 
 Results do not depend on the number of threads: blocks of rows have a fixed height and every sum a fixed order."""
 
@@ -25,6 +25,9 @@ OWN_REACH = 9.0  # three sigma: beyond it the pixel is not of the window's plane
 EXACT = 1e-18  # relative residual variance below which a fit is as exact as sums of doubles can tell
 SHIFT_PRICE = 1.5  # a shifted window must fit this much better than the centred one
 OWN_RISK = 0.5  # what the pixel's own disagreement counts beside its surroundings'
+SPIKE = 10.0  # residual variances beyond which a pixel is of no plane around it
+SPIKE_RADIUS = 4
+BLAME = 16.0  # how many times the fine plane's misfit the coarse one may have before it is to blame
 RISE = 4.0  # times the least disagreement of finer scales: more than chance
 SMOOTH = 4  # least radius over which disagreement is averaged
 ROUNDING = 1e-13  # float32 normals squared: less disagreement than this means nothing
@@ -119,7 +122,7 @@ def _fit(w, x, y, q, r, least, a, b, c, res):
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
-def _take_row(shift, price, w, x, y, a, b, c, res, total, oa, ob, oc):
+def _take_row(shift, price, w, x, y, a, b, c, res, total, oa, ob, oc, oe):
     """Add the shifted window's plane, weighed by one over the square of its misfit's variance."""
     n = w.size
     for i in range(max(0, -shift), min(n, n - shift)):
@@ -127,16 +130,18 @@ def _take_row(shift, price, w, x, y, a, b, c, res, total, oa, ob, oc):
         own = w[i] - (a[j] * x[i] + b[j] * y[i] + c[j])
         # Noise of the pixel itself must not choose the window; only a pixel that cannot be of the window's plane speaks.
         off = own * own - OWN_REACH * res[j]
-        s = (res[j] + (off if off > 0 else 0.0) + EXACT) * price
+        e = res[j] + (off if off > 0 else 0.0) + EXACT
+        s = e * price
         k = 1.0 / (s * s)
         total[i] += k
         oa[i] += k * a[j]
         ob[i] += k * b[j]
         oc[i] += k * c[j]
+        oe[i] += k * e if k > 0 else 0.0
 
 
 @numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
-def _choose(w, x, y, r, a, b, c, res, normals):
+def _choose(w, x, y, r, a, b, c, res, normals, misfit):
     """Unit scene-frame normals of the nine windows that hold each pixel, the best fitting ones first; NaN where none can say."""
     h, wd = w.shape
     for v in numba.prange(h):
@@ -144,13 +149,15 @@ def _choose(w, x, y, r, a, b, c, res, normals):
         oa = np.zeros(wd)
         ob = np.zeros(wd)
         oc = np.zeros(wd)
+        oe = np.zeros(wd)
         for j in range(-1, 2):
             u = v + j * r
             if u >= 0 and u < h:
                 for i in range(-1, 2):
                     price = SHIFT_PRICE if i != 0 or j != 0 else 1.0
-                    _take_row(i * r, price, w[v], x[v], y[v], a[u], b[u], c[u], res[u], total, oa, ob, oc)
+                    _take_row(i * r, price, w[v], x[v], y[v], a[u], b[u], c[u], res[u], total, oa, ob, oc, oe)
         for i in range(wd):
+            misfit[v, i] = oe[i] / total[i]
             k = oc[i] + total[i]
             # The plane's own value on this ray must be in front of the camera, or its normal faces away.
             if total[i] > 0 and oa[i] * x[v, i] + ob[i] * y[v, i] + k > 0:
@@ -164,8 +171,37 @@ def _choose(w, x, y, r, a, b, c, res, normals):
                 normals[v, i, 2] = np.nan
 
 
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def _belong_row(shift, w, x, y, a, b, c, res, least):
+    """Lower each pixel's `least` squared misfit, in residual variances, to that of the shifted window's plane."""
+    n = w.size
+    for i in range(max(0, -shift), min(n, n - shift)):
+        j = i + shift
+        own = w[i] - (a[j] * x[i] + b[j] * y[i] + c[j])
+        ratio = own * own / (res[j] + EXACT)
+        least[i] = ratio if res[j] < BAD and ratio < least[i] else least[i]
+
+
 @numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
-def _disagreement(fine, coarse, delta, count):
+def _without_spikes(w, x, y, q, r, a, b, c, res, out):
+    """The weights, 0 where a pixel is of the plane of none of the nine windows that hold it: a spike, and no evidence for others.
+
+    An eighth of a window is enough to be a surface of its own, since it widens the window's own residual: wires stay.
+    """
+    h, wd = w.shape
+    for v in numba.prange(h):
+        least = np.full(wd, BAD)
+        for j in range(-1, 2):
+            u = v + j * r
+            if u >= 0 and u < h:
+                for i in range(-1, 2):
+                    _belong_row(i * r, w[v], x[v], y[v], a[u], b[u], c[u], res[u], least)
+        for i in range(wd):
+            out[v, i] = 0.0 if least[i] > SPIKE and least[i] < BAD else q[v, i]
+
+
+@numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
+def _disagreement(fine, coarse, fine_misfit, coarse_misfit, delta, count):
     """Squared distance of two unit normals, and 1 where both are known; 0 and 0 elsewhere."""
     h, w = delta.shape
     for v in numba.prange(h):
@@ -175,7 +211,9 @@ def _disagreement(fine, coarse, delta, count):
             s = fine[v, i, 2] - coarse[v, i, 2]
             d = p * p + q * q + s * s
             good = d == d
-            delta[v, i] = d if good else 0.0
+            # Where the coarse plane fits far worse, the coarse one is to blame and not the fine one.
+            blame = BLAME * fine_misfit[v, i] / coarse_misfit[v, i]
+            delta[v, i] = d * min(1.0, blame) if good else 0.0
             count[v, i] = 1.0 if good else 0.0
 
 
@@ -229,6 +267,11 @@ def _blend(normals, risk, total):
                 total[v, i, 2] += k * normals[v, i, 2]
 
 
+def _least_count(r: int) -> float:
+    """Pixels that a window must hold to be believed: a quarter of it, as at a corner of the frame, and more than a plane needs."""
+    return max(5.0, 0.25 * (2 * r + 1) ** 2)
+
+
 def _noise_floor(r: int, noise: float, rays: Float64, inverse: Float64) -> float:
     """Mean-square angle that white noise of this size leaves in a window's normal, at the picture's median depth."""
     if noise == 0:
@@ -258,16 +301,20 @@ def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple
     total = np.zeros((h, w, 3))
     fine: Float32 | None = None
     with KERNEL_LOCK:
+        _fit(centred, x, y, q, SPIKE_RADIUS, _least_count(SPIKE_RADIUS), a, b, c, res)
+        clean = np.empty_like(q)
+        _without_spikes(centred, x, y, q, SPIKE_RADIUS, a, b, c, res, clean)
         for k, r in enumerate(radii):
-            _fit(centred, x, y, q, r, max(5.0, 0.25 * (2 * r + 1) ** 2), a, b, c, res)
+            _fit(centred, x, y, clean, r, _least_count(r), a, b, c, res)
             coarse = np.empty((h, w, 3), dtype=np.float32)
-            _choose(centred, x, y, r, a, b, c, res, coarse)
+            coarse_misfit = np.empty((h, w))
+            _choose(centred, x, y, r, a, b, c, res, coarse, coarse_misfit)
             if fine is not None:
-                _disagreement(fine, coarse, delta, count)
+                _disagreement(fine, coarse, fine_misfit, coarse_misfit, delta, count)
                 before = risk.copy()
                 _risk(delta, count, max(radii[k - 1], SMOOTH), _noise_floor(radii[k - 1], noise, rays, inverse), least, shape, risk)
                 _blend(fine, risk, total)
-            fine = coarse
+            fine, fine_misfit = coarse, coarse_misfit
         # Nothing coarser judges the last scale.  Noise falls by 16 from scale to scale; what fell less is shape, and weighs four times more there.
         excess = LAST * np.fmax(risk - before / 12 if len(radii) > 2 else risk, 0)
         _blend(fine, np.fmax(excess, shape) + risk / 16 + _noise_floor(radii[-1], noise, rays, inverse), total)
