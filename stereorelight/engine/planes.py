@@ -27,7 +27,7 @@ SHIFT_PRICE = 1.5  # a shifted window must fit this much better than the centred
 OWN_RISK = 0.5  # what the pixel's own disagreement counts beside its surroundings'
 SPIKE = 10.0  # residual variances beyond which a pixel is of no plane around it
 SPIKE_RADIUS = 4
-BLAME = 16.0  # how many times the fine plane's misfit the coarse one may have before it is to blame
+BLAME = 64.0  # how many times the fine plane's misfit the coarse one may have before it is to blame
 RISE = 4.0  # times the least disagreement of finer scales: more than chance
 SMOOTH = 4  # least radius over which disagreement is averaged
 ROUNDING = 1e-13  # float32 normals squared: less disagreement than this means nothing
@@ -201,7 +201,7 @@ def _without_spikes(w, x, y, q, r, a, b, c, res, out):
 
 
 @numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
-def _disagreement(fine, coarse, fine_misfit, coarse_misfit, delta, count):
+def _disagreement(fine, coarse, fine_misfit, coarse_misfit, told, delta, count, blamed):
     """Squared distance of two unit normals, and 1 where both are known; 0 and 0 elsewhere."""
     h, w = delta.shape
     for v in numba.prange(h):
@@ -211,18 +211,20 @@ def _disagreement(fine, coarse, fine_misfit, coarse_misfit, delta, count):
             s = fine[v, i, 2] - coarse[v, i, 2]
             d = p * p + q * q + s * s
             good = d == d
-            # Where the coarse plane fits far worse, the coarse one is to blame and not the fine one.
-            blame = BLAME * fine_misfit[v, i] / coarse_misfit[v, i]
-            delta[v, i] = d * min(1.0, blame) if good else 0.0
+            # Where the coarse plane fits far worse, it is to blame and not the fine one.
+            share = min(1.0, BLAME * (fine_misfit[v, i] + told) / coarse_misfit[v, i])
+            delta[v, i] = d * share if good else 0.0
+            blamed[v, i] = d * (1.0 - share) if good else 0.0
             count[v, i] = 1.0 if good else 0.0
 
 
 @numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
-def _risk(delta, count, r, floor, least, shape, risk):
+def _risk(delta, count, blamed, r, floor, least, shape, risk):
     """Local mean of `delta` over (2 r + 1)^2 where known, with the pixel's own beside it; NaN where that is not known.
 
     Beyond the size of a detail all windows agree again, that there is none.  So what once rose well above the `least` disagreement
-    of the finer scales is kept as `shape`, and no coarser scale comes below it.
+    of the finer scales is kept as `shape`, with what a coarse scale is to blame
+    for, and no coarser scale comes below it.
     """
     h, w = delta.shape
     for block in numba.prange((h + BLOCK - 1) // BLOCK):
@@ -248,7 +250,7 @@ def _risk(delta, count, r, floor, least, shape, risk):
                 if count[v, i] > 0:
                     d = mean + OWN_RISK * delta[v, i] + floor
                     risk[v, i] = max(d, shape[v, i])
-                    shape[v, i] = max(shape[v, i], d - RISE * least[v, i])
+                    shape[v, i] = max(shape[v, i], d - RISE * least[v, i], blamed[v, i])
                     least[v, i] = min(least[v, i], d)
                 else:
                     risk[v, i] = np.nan
@@ -296,7 +298,7 @@ def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple
     x, y = (np.where(known, rays[..., k], 0.0) for k in (0, 1))
     w0 = float(inverse[known].mean())
     centred = np.where(known, inverse / w0 - 1.0, 0.0)  # free of units, and small numbers keep the running sums exact
-    a, b, c, res, delta, count, risk = (np.empty((h, w)) for _ in range(7))
+    a, b, c, res, delta, count, blamed, risk, misfit = (np.empty((h, w)) for _ in range(9))
     least, shape = np.full((h, w), np.inf), np.zeros((h, w))
     total = np.zeros((h, w, 3))
     fine: Float32 | None = None
@@ -310,11 +312,12 @@ def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple
             coarse_misfit = np.empty((h, w))
             _choose(centred, x, y, r, a, b, c, res, coarse, coarse_misfit)
             if fine is not None:
-                _disagreement(fine, coarse, fine_misfit, coarse_misfit, delta, count)
+                _disagreement(fine, coarse, misfit, coarse_misfit, (noise / w0) ** 2, delta, count, blamed)
                 before = risk.copy()
-                _risk(delta, count, max(radii[k - 1], SMOOTH), _noise_floor(radii[k - 1], noise, rays, inverse), least, shape, risk)
+                floor = _noise_floor(radii[k - 1], noise, rays, inverse)
+                _risk(delta, count, blamed, max(radii[k - 1], SMOOTH), floor, least, shape, risk)
                 _blend(fine, risk, total)
-            fine, fine_misfit = coarse, coarse_misfit
+            fine, misfit = coarse, coarse_misfit
         # Nothing coarser judges the last scale.  Noise falls by 16 from scale to scale; what fell less is shape, and weighs four times more there.
         excess = LAST * np.fmax(risk - before / 12 if len(radii) > 2 else risk, 0)
         _blend(fine, np.fmax(excess, shape) + risk / 16 + _noise_floor(radii[-1], noise, rays, inverse), total)
