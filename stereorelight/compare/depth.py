@@ -218,7 +218,7 @@ def disparity_figures(
     regions = _regions(np.isfinite(b), mask, near_edges(b, jump=JUMP_PX))
     return DisparityFigures(
         regions={name: region_figures(error, region, unit="px", thresholds=thresholds) for name, region in regions.items()},
-        normals=None if rig is None else disparity_normal_figures(result, truth, rig),
+        normals=None if rig is None else disparity_normal_figures(result, truth, rig, nonoccluded=mask),
     )
 
 

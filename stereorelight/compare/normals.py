@@ -17,7 +17,8 @@ from stereorelight.errors import PassError
 
 UNDER_DEG = (11.25, 22.5, 30.0)
 WINDOW_PX = 5
-JUMP_PX = 1.0  # largest range of true disparity inside a window that is still one surface
+JUMP_PX = 1.0  # a step of true disparity between neighbours that is no longer one surface
+CLEAR_PX = 4  # how far from such a step, or from unknown truth, normals are judged
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,21 +134,43 @@ def disparity_normals(disparity: npt.ArrayLike, rig: RectifiedRig, *, window_px:
     return unit
 
 
+def _dilated(mask: Bool, reach: int) -> Bool:
+    """`mask` grown by `reach` pixels in each direction (a square)."""
+    padded = np.pad(mask, reach)
+    h, w = mask.shape
+    across = np.logical_or.reduce([padded[:, k : k + w] for k in range(2 * reach + 1)])
+    return np.logical_or.reduce([across[k : k + h] for k in range(2 * reach + 1)])
+
+
+def away_from_jumps(truth: npt.ArrayLike, *, jump_px: float = JUMP_PX, clear_px: int = CLEAR_PX) -> Bool:
+    """(H, W) pixels with no jump of more than `jump_px` between known neighbours, and no unknown pixel, within `clear_px`."""
+    t = np.asarray(truth, dtype=np.float64)
+    jump = ~np.isfinite(t)
+    with np.errstate(invalid="ignore"):
+        jump[:, 1:] |= np.abs(np.diff(t, axis=1)) > jump_px
+        jump[1:] |= np.abs(np.diff(t, axis=0)) > jump_px
+    return ~_dilated(jump, clear_px)
+
+
 def disparity_normal_figures(
-    result: npt.ArrayLike, truth: npt.ArrayLike, rig: RectifiedRig, *, window_px: int = WINDOW_PX, jump_px: float = JUMP_PX
+    result: npt.ArrayLike,
+    truth: npt.ArrayLike,
+    rig: RectifiedRig,
+    *,
+    nonoccluded: npt.ArrayLike | None = None,
+    window_px: int = WINDOW_PX,
+    jump_px: float = JUMP_PX,
+    clear_px: int = CLEAR_PX,
 ) -> NormalFigures:
     """Angles between the normals of a disparity and of the true one, each from its own plane fit (`disparity_normals`).
 
-    Counted are pixels whose truth window is fully known and ranges over at most `jump_px` of disparity: away from depth jumps.
-    There the result needs a fully known window too, or the pixel has no answer.  All zeros where no such pixel exists.
+    Counted are pixels away from depth jumps (`away_from_jumps`) whose truth window is fully known; `nonoccluded` (H, W) bool
+    leaves out what the other eye cannot see.  A counted pixel whose result window is not known has no answer and counts as
+    wrong.  All zeros where no such pixel exists.
     """
     true_normals = disparity_normals(truth, rig, window_px=window_px)
     normals = disparity_normals(result, rig, window_px=window_px)
-    t = np.asarray(truth, dtype=np.float64)
-    r = window_px // 2
-    known = np.zeros(t.shape, dtype=bool)
-    if min(t.shape) >= window_px:
-        windows = np.lib.stride_tricks.sliding_window_view(t, (window_px, window_px))
-        with np.errstate(invalid="ignore"):
-            known[r:-r, r:-r] = windows.max(axis=(2, 3)) - windows.min(axis=(2, 3)) <= jump_px
+    known = away_from_jumps(truth, jump_px=jump_px, clear_px=clear_px)
+    if nonoccluded is not None:
+        known &= np.asarray(nonoccluded, dtype=np.bool_)
     return _figures(angle_deg(normals, true_normals), known & np.isfinite(true_normals).all(axis=-1))

@@ -18,6 +18,7 @@ from stereorelight.engine.rows import in_row_blocks
 
 Planes = tuple[Float32, Float32, Float32]  # value, slope along x, slope along y
 f4 = np.float32
+ROUND = 1.27  # of the radius, squared: a window as large as its square's inner disc and a little more, alike in all directions
 BLOCK = 512  # pixels of a row worked on at a time: eleven float32 strips of this length stay in the first-level cache
 FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: missing values must stay testable
 
@@ -94,6 +95,7 @@ def _solve(c0, a, b, x0, n, ridge, S, SX, SY, SXX, SXY, SYY, SZ, SZX, SZY, value
 def _planes(first, end, z, q, t, value, slope_x, slope_y, radius, stride, inv_tau2, ridge, out_value, out_x, out_y):
     H, W = z.shape
     T = np.empty((16, BLOCK), np.float32)
+    reach2 = ROUND * radius * radius
     for y in range(first, end):
         for x0 in range(0, W, BLOCK):
             n = min(BLOCK, W - x0)
@@ -106,7 +108,7 @@ def _planes(first, end, z, q, t, value, slope_x, slope_y, radius, stride, inv_ta
                 T[9:14] = f4(0)
                 for dx in range(-radius, radius + 1, stride):
                     i0, i1 = max(0, -dx - x0), min(n, W - dx - x0)
-                    if i1 <= i0:
+                    if i1 <= i0 or dx * dx + dy * dy > reach2:
                         continue
                     m, j0, fdx = i1 - i0, x0 + dx + i0, f4(dx)
                     _weigh(
@@ -174,3 +176,60 @@ def robust_planes(
         in_row_blocks(partial(_rows, given), disparity.shape[0])
         value, slope_x, slope_y = result
     return value, slope_x, slope_y
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _gather(v, a, b, here, n, dx, dy, weight, inv_tau2, S, SV, SA, SB):
+    """Add what the planes of the pixels at (dx, dy) say at a strip of pixels."""
+    for i in range(n):
+        value = v[i] - a[i] * dx - b[i] * dy
+        r = value - here[i]
+        k = f4(1) - r * r * inv_tau2
+        k = k if k > f4(0) else f4(0)
+        w = weight * k * k
+        S[i] += w
+        SV[i] += w * value
+        SA[i] += w * a[i]
+        SB[i] += w * b[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _divide(S, SV, SA, SB, n, value, slope_x, slope_y):
+    for i in range(n):
+        inv = f4(1) / S[i]
+        value[i] = SV[i] * inv
+        slope_x[i] = SA[i] * inv
+        slope_y[i] = SB[i] * inv
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def _blend(first, end, value, slope_x, slope_y, inv_tau2, out_value, out_x, out_y):
+    H, W = value.shape
+    T = np.empty((4, W), np.float32)
+    for y in range(first, end):
+        T[:] = f4(0)
+        for dy in range(-1, 2):
+            yy = y + dy
+            if yy < 0 or yy >= H:
+                continue
+            for dx in range(-1, 2):
+                i0, i1 = max(0, -dx), min(W, W - dx)
+                m, j0 = i1 - i0, i0 + dx
+                if m <= 0:
+                    continue
+                weight = f4((2 - abs(dx)) * (2 - abs(dy)))
+                v, a, b = value[yy, j0 : j0 + m], slope_x[yy, j0 : j0 + m], slope_y[yy, j0 : j0 + m]
+                _gather(v, a, b, value[y, i0:i1], m, f4(dx), f4(dy), weight, inv_tau2, T[0, i0:], T[1, i0:], T[2, i0:], T[3, i0:])
+        _divide(T[0], T[1], T[2], T[3], W, out_value[y], out_x[y], out_y[y])
+
+
+def blended(planes: Planes, *, tau_px: float) -> Planes:
+    """Each plane averaged with those of its eight neighbours that agree with it to `tau_px`.
+
+    A fit that samples every other pixel leaves neighbours with nothing in common; a 1-2-1 blend gives each sampling phase
+    the same weight, so that no grid shows under a raking light.
+    """
+    result = (np.empty_like(planes[0]), np.empty_like(planes[0]), np.empty_like(planes[0]))
+    given = (*planes, f4(1 / tau_px**2), *result)
+    in_row_blocks(lambda first, end: _blend(first, end, *given), planes[0].shape[0])
+    return result

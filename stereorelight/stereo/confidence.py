@@ -21,7 +21,7 @@ from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import Refined
 
 EVIDENCE = ("always", "confirmed", "flow agrees", "moved, px", "no match", "log texture", "log unlike", "edge nearby", "unseen")
-COEFFICIENTS = np.array([1.55, 1.51, 1.36, -0.33, 0.03, 1.44, -0.22, -1.85, 0.03], dtype=np.float32)
+COEFFICIENTS = np.array([2.95, 1.39, 0.77, -0.50, -0.37, 0.31, -0.66, -1.75, 0.71], dtype=np.float32)
 LOWEST, HIGHEST = 0.01, 0.995
 WINDOW = (7, 7)
 

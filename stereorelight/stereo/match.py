@@ -6,9 +6,11 @@ unmatched.  Disparities of both signs are normal: a converged rig has them on bo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.camera import RectifiedRig
@@ -16,11 +18,12 @@ from stereorelight.engine.occlusion import consistent
 from stereorelight.errors import PlateError
 from stereorelight.stereo.proxy import Proxy
 
-COARSE_WIDTH = 192  # pixels of the picture in which the range is looked for
+COARSE_WIDTH = 160  # pixels of the picture in which the range is looked for
 COARSE_REACH = 0.6  # of the frame's width: no disparity beyond it is looked for without a near_m
 TAIL = 0.002  # share of believed matches at either end that does not widen the range
 BEHIND_LIMIT = 0.6  # share of believed matches behind the rig at which the eyes must be swapped
 BLOCK = 3
+DISCONTINUITY_RADIUS = 2  # px about a jump in which the filter trusts nothing
 SPECKLE_PX = 60  # an island of disparity smaller than this is a wrong match
 P1, P2 = 4 * BLOCK**2, 24 * BLOCK**2  # penalties of a step by one and of a jump, per channel
 
@@ -59,10 +62,15 @@ def _sgbm(search: DisparityRange, channels: int, mode: int) -> cv2.StereoSGBM:
     return cv2.StereoSGBM_create(search.low, search.count, BLOCK, P1 * channels, P2 * channels, 1, 63, 0, SPECKLE_PX, 1, mode)
 
 
-def _padded(picture: UInt8, search: DisparityRange) -> tuple[UInt8, int]:
-    """The picture with room on both sides for matches that leave the frame; without it, SGBM drops those columns."""
-    before, after = max(0, search.high), max(0, -search.low)
-    return cv2.copyMakeBorder(picture, 0, 0, before, after, cv2.BORDER_REPLICATE), before
+def _raw(matcher: Any, picture: UInt8, other: UInt8, *, before: int, after: int) -> npt.NDArray[np.int16]:
+    """The matcher's sixteenths on `picture`, with so many columns repeated before and after the frame.
+
+    SGBM drops the columns whose candidates leave the frame: room for them is needed on the side where they leave, and harms
+    on the other, where repeated columns match repeated columns.
+    """
+    a, b = (cv2.copyMakeBorder(p, 0, 0, before, after, cv2.BORDER_REPLICATE) for p in (picture, other))
+    raw: npt.NDArray[np.int16] = matcher.compute(a, b)[:, before : before + picture.shape[1]]
+    return np.ascontiguousarray(raw)
 
 
 def _as_pixels(sixteenths: np.ndarray, lowest: int) -> Float32:
@@ -83,20 +91,21 @@ def match(
     exhaustive : eight directions of aggregation in place of three; better, slower, and much more memory.
     dense      : filter; without it `Match.dense` is the left disparity as found.
     """
-    left, pad = _padded(proxy.left, search)
-    right, _ = _padded(proxy.right, search)
-    matcher = _sgbm(search, left.shape[2] if left.ndim == 3 else 1, cv2.STEREO_SGBM_MODE_HH4 if exhaustive else cv2.STEREO_SGBM_MODE_SGBM_3WAY)
-    raw_left = matcher.compute(left, right)
-    raw_right = cv2.ximgproc.createRightMatcher(matcher).compute(right, left)
-    frame = slice(pad, pad + proxy.left.shape[1])
-    left_px = _as_pixels(raw_left[:, frame], search.low)
-    right_px = -_as_pixels(raw_right[:, frame], 1 - search.high)  # the right matcher counts x_right - x_left
+    left, right = proxy.left, proxy.right
+    channels = left.shape[2] if left.ndim == 3 else 1
+    matcher = _sgbm(search, channels, cv2.STEREO_SGBM_MODE_HH4 if exhaustive else cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    positive, negative = max(0, search.high), max(0, -search.low)
+    raw_left = _raw(matcher, left, right, before=positive, after=negative)
+    raw_right = _raw(cv2.ximgproc.createRightMatcher(matcher), right, left, before=negative, after=positive)
+    left_px = _as_pixels(raw_left, search.low)
+    right_px = -_as_pixels(raw_right, 1 - search.high)  # the right matcher counts x_right - x_left
     if not dense:
         return Match(left=left_px, right=right_px, dense=left_px)
-    wls = cv2.ximgproc.createDisparityWLSFilter(matcher)
+    wls = cv2.ximgproc.createDisparityWLSFilterGeneric(True)  # not the matcher's own: that one leaves out the padded columns
+    wls.setDepthDiscontinuityRadius(DISCONTINUITY_RADIUS)
     wls.setLambda(wls_lambda)
     wls.setSigmaColor(wls_sigma)
-    filtered = wls.filter(raw_left, left, None, raw_right)[:, frame].astype(np.float32) / 16
+    filtered = wls.filter(raw_left, left, None, raw_right).astype(np.float32) / 16
     return Match(left=left_px, right=right_px, dense=np.clip(filtered, search.low, search.high))
 
 
@@ -139,13 +148,13 @@ def search_range(proxy: Proxy, rig: RectifiedRig, *, near_m: float | None = None
     width = coarse.left.shape[1]
     infinity = -rig.doffs_px * scale
     reach = COARSE_REACH * width
-    wide = DisparityRange.holding(infinity - reach / 2, infinity + reach)
+    wide = DisparityRange.holding(infinity - reach / 3, infinity + reach)
     found = match(coarse, wide, dense=False)
     believed = consistent(found.left, found.right, within_px=0.75) & coarse.left_known
     believed &= np.abs(cv2.Scharr(coarse.left_grey, cv2.CV_32F, 1, 0)) / 32 > 1.0
     d = found.left[believed]
     if d.size < 0.01 * believed.size:
-        raise PlateError("left and right plates hardly match anywhere; are they the same moment of the same scene, and is this their rig?")
+        raise PlateError("left and right plates hardly match anywhere; are they swapped, of another moment, or of another rig?")
     behind = float(np.mean(d < infinity - 1.5))
     if behind > BEHIND_LIMIT:
         raise PlateError(

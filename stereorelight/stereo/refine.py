@@ -17,7 +17,7 @@ import numpy as np
 from stereorelight.arrays import Bool, Float32
 from stereorelight.engine.occlusion import background, unseen
 from stereorelight.engine.photometric import brightness_residual, measured_disparity
-from stereorelight.engine.refine import Planes, robust_planes
+from stereorelight.engine.refine import Planes, blended, robust_planes
 from stereorelight.stereo.proxy import Proxy
 
 
@@ -83,6 +83,20 @@ def photometric_planes(proxy: Proxy, planes: Planes, trust: Float32, this: Round
     return robust_planes(planes[0], weight, radius=this.radius, stride=this.stride, tau_px=tau_px, slopes=planes[1:], target=target, passes=1)
 
 
+def _from_rows_that_match(disparity: Float32, proxy: Proxy) -> Float32:
+    """Where the right plate ends above or below (offset and rolled rigs), the nearest row that has something to match."""
+    if proxy.right_known.all():
+        return disparity
+    height, width = disparity.shape
+    lands = np.clip(np.rint(np.arange(width, dtype=np.float32) - disparity), 0, width - 1).astype(np.intp)
+    known = np.take_along_axis(proxy.right_known, lands, axis=1)
+    row = np.broadcast_to(np.arange(height)[:, None], disparity.shape)
+    above = np.maximum.accumulate(np.where(known, row, -1), axis=0)
+    below = np.minimum.accumulate(np.where(known, row, height)[::-1], axis=0)[::-1]
+    take = np.where((above < 0) | ((below < height) & (below - row < row - above)), below, above)
+    return np.take_along_axis(disparity, np.where((take < 0) | (take >= height), row, take), axis=0)
+
+
 def _out_of_range(disparity: Float32, confirmed: Bool) -> Bool:
     """(H, W) bool: beyond everything that both eyes confirm; such a value is not even a guess."""
     sure = disparity[confirmed]
@@ -99,6 +113,7 @@ def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EF
     tau_px    : how far off a plane a neighbour may lie and still belong to the surface.
     """
     fine = sub_pixel(proxy, dense, iterations=effort.variational)
+    fine = _from_rows_that_match(fine, proxy)
     lost = (unseen(fine) | _out_of_range(fine, confirmed)) & ~confirmed
     # The median takes out streaks: a row whose nearest match is wrong.
     filled = np.where(lost, cv2.medianBlur(background(fine, confirmed), 5), fine)
@@ -107,4 +122,5 @@ def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EF
     planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
     for this in effort.rounds:
         planes = photometric_planes(proxy, planes, trust, this, tau_px=tau_px)
+    planes = blended(planes, tau_px=tau_px)
     return Refined(disparity=planes[0], slope_x=planes[1], slope_y=planes[2], unseen=lost)
