@@ -10,7 +10,8 @@ import numpy.typing as npt
 import pytest
 
 from stereorelight.camera import Camera, RectifiedRig
-from stereorelight.compare.depth import depth_figures, disparity_figures, near_edges
+from stereorelight.compare.depth import depth_figures, disparity_figures
+from stereorelight.compare.edges import near_edges
 from stereorelight.compare.normals import disparity_normal_figures, disparity_normals, normal_figures
 from stereorelight.compare.report import comparison_json, comparison_text, error_map
 from stereorelight.errors import PassError
@@ -68,7 +69,7 @@ def test_regions() -> None:
     # the edge lies between columns 9 and 10, so 5 ... 14 are near it, 8 and 9 of them occluded
     assert counts == {"all": 60, "nonoccluded": 54, "near_edges": 24, "flat": 30}
     assert bad == pytest.approx({"all": 15, "nonoccluded": 100 * 3 / 54, "near_edges": 12.5, "flat": 0})
-    edges = near_edges(truth, jump=2)
+    edges = near_edges(truth, jump=2, band_px=4)
     assert edges[0].tolist() == [False] * 5 + [True] * 10 + [False] * 5
 
 
@@ -122,13 +123,13 @@ def test_disparity_normal_figures_leave_depth_jumps_out() -> None:
     truth = f32(np.broadcast_to(np.where(np.arange(20) < 10, 10.0, 20.0), (9, 20)))
     result = truth + f32(np.arange(20) * 0.3)
     figures = disparity_normal_figures(result, truth, r)
-    # 5 rows have a whole 5x5 window; columns 2 ... 7 and 12 ... 17 hold no jump
-    assert (figures.pixels, figures.cover_percent) == (5 * 12, 100)
-    u = np.array([2, 3, 4, 5, 6, 7, 12, 13, 14, 15, 16, 17])
+    # 5 rows have a whole 5x5 window; columns 2 ... 4 and 15 ... 17 lie more than 4 px from the two pixels of the jump
+    assert (figures.pixels, figures.cover_percent) == (5 * 6, 100)
+    u = np.array([2, 3, 4, 15, 16, 17])
     q = np.where(u < 10, 14, 24) + 0.3 * u - 0.3 * (u - 5)
     assert figures.median_deg == pytest.approx(np.median(np.degrees(np.arctan2(30, q))), abs=1e-3)
     result[4, 5] = np.nan
-    assert disparity_normal_figures(result, truth, r).cover_percent == pytest.approx(100 * 35 / 60)
+    assert disparity_normal_figures(result, truth, r).cover_percent == pytest.approx(100 * 20 / 30)
 
 
 def test_error_map_has_a_fixed_signed_scale() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stereorelight.compare.depth import disparity_figures
+from stereorelight.compare.edges import grown
 from stereorelight.compare.motorcycle import motorcycle
 from stereorelight.compare.normals import disparity_normal_figures
 from stereorelight.errors import PlateError, ShotError
@@ -74,8 +75,10 @@ def test_depth_and_its_edges(card, eye) -> None:
     assert np.median(error[seen]) < 0.05
     assert (error[seen] > 1).mean() < 0.02
     # No wall between card and wall: nothing stands in the gap between them.
-    near, far = np.unique(np.round(truth[truth < 1.5], 3)).max(), truth[truth > 1.5].min()
-    assert ((Z > near + 0.06) & (Z < far - 0.06)).mean() < 0.002
+    near, far = truth[truth < 1.5].max(), truth[truth > 1.5].min()
+    between = (near + 0.1 < Z) & (far - 0.1 > Z)
+    card = grown(truth < 1.5, 8)
+    assert between[card].mean() < 0.002
 
 
 def test_unseen_ground_is_flagged_as_a_guess_from_behind(card) -> None:
@@ -87,7 +90,7 @@ def test_unseen_ground_is_flagged_as_a_guess_from_behind(card) -> None:
     assert ((flags[hidden] & (Flag.OCCLUDED | Flag.UNMATCHED | Flag.OUT_OF_VIEW)) != 0).mean() > 0.8
     assert ((flags[hidden] & Flag.FILLED) != 0).mean() > 0.8
     assert np.median(disparity_error(made, got["Z"])[hidden]) < 0.5
-    assert got["confidence"][hidden].mean() < got["confidence"][~hidden].mean() - 0.2
+    assert got["confidence"][hidden].mean() < got["confidence"][~hidden].mean() - 0.15
     bare = recover(*plates(made, rectified), rectified, settings=DepthSettings(fill=False)).frame["Z"]
     assert np.array_equal(np.isnan(bare), (flags & Flag.FILLED) != 0)
 
@@ -127,7 +130,7 @@ def test_near_and_far_set_the_range(card) -> None:
     assert np.median(disparity_error(made, got.frame["Z"])) < 0.06
 
 
-@pytest.mark.parametrize("rig", ["parallel", "toed-in"])
+@pytest.mark.parametrize("rig", ["parallel", "hard"])
 def test_swapped_plates_are_named(rig) -> None:
     made, rectified = shot("two_planes", rig, samples=1)
     left, right = plates(made, rectified)
@@ -194,7 +197,7 @@ def test_motorcycle_confidence_tells_the_truth(real) -> None:
         inside = (sure >= low) & (sure < low + 0.1)
         if inside.mean() > 0.01:
             assert abs(sure[inside].mean() - right[inside].mean()) < 0.15, low
-    assert sure[right].mean() > sure[~right].mean() + 0.2
+    assert sure[right].mean() > sure[~right].mean() + 0.15
 
 
 def test_motorcycle_at_another_exposure_and_colour() -> None:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float64, as_float32
 from stereorelight.camera import RectifiedRig
+from stereorelight.compare.edges import near_edges
 from stereorelight.compare.normals import NormalFigures, disparity_normal_figures
 from stereorelight.errors import PassError
 
@@ -146,28 +147,6 @@ class DepthFigures:
         return "\n\n".join(lines + ([self.disparity.text()] if self.disparity else []))
 
 
-def near_edges(truth: npt.NDArray[Any], *, jump: float, band_px: int = EDGE_BAND_PX) -> Bool:
-    """(H, W) whether a step of `truth` larger than `jump` between neighbours lies within `band_px`, a square."""
-    with np.errstate(invalid="ignore"):
-        across = np.abs(np.diff(truth, axis=1)) > jump
-        down = np.abs(np.diff(truth, axis=0)) > jump
-    edge = np.zeros(truth.shape, dtype=bool)
-    edge[:, 1:] |= across
-    edge[:, :-1] |= across
-    edge[1:] |= down
-    edge[:-1] |= down
-    for axis in (0, 1):
-        wide = edge.copy()
-        for k in range(1, band_px + 1):
-            ahead = [slice(None), slice(None)]
-            behind = [slice(None), slice(None)]
-            ahead[axis], behind[axis] = slice(k, None), slice(None, -k)
-            wide[tuple(ahead)] |= edge[tuple(behind)]
-            wide[tuple(behind)] |= edge[tuple(ahead)]
-        edge = wide
-    return edge
-
-
 def _mask(mask: npt.ArrayLike | None, name: str, shape: tuple[int, ...]) -> Bool | None:
     if mask is None:
         return None
@@ -215,7 +194,7 @@ def disparity_figures(
     a, b = _pair(result, truth, "disparity")
     mask = _mask(nonoccluded, "nonoccluded", b.shape)
     error = np.abs(a - b)
-    regions = _regions(np.isfinite(b), mask, near_edges(b, jump=JUMP_PX))
+    regions = _regions(np.isfinite(b), mask, near_edges(b, jump=JUMP_PX, band_px=EDGE_BAND_PX))
     return DisparityFigures(
         regions={name: region_figures(error, region, unit="px", thresholds=thresholds) for name, region in regions.items()},
         normals=None if rig is None else disparity_normal_figures(result, truth, rig, nonoccluded=mask),
@@ -241,7 +220,7 @@ def depth_figures(
     mask = _mask(nonoccluded, "nonoccluded", b.shape)
     error = np.abs(a - b)
     # A step of 5 % between neighbours: what no surface but a grazing one does at any sensible focal length.
-    regions = _regions(np.isfinite(b), mask, near_edges(np.log(b), jump=0.05))
+    regions = _regions(np.isfinite(b), mask, near_edges(np.log(b), jump=0.05, band_px=EDGE_BAND_PX))
     disparity = None
     if rig is not None:
         pair = (np.asarray(rig.disparity_from_depth(z), dtype=np.float32) for z in (a, b))

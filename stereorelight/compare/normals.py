@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float64, as_float32
 from stereorelight.camera import RectifiedRig
+from stereorelight.compare.edges import grown, near_edges
 from stereorelight.errors import PassError
 
 UNDER_DEG = (11.25, 22.5, 30.0)
@@ -134,22 +135,10 @@ def disparity_normals(disparity: npt.ArrayLike, rig: RectifiedRig, *, window_px:
     return unit
 
 
-def _dilated(mask: Bool, reach: int) -> Bool:
-    """`mask` grown by `reach` pixels in each direction (a square)."""
-    padded = np.pad(mask, reach)
-    h, w = mask.shape
-    across = np.logical_or.reduce([padded[:, k : k + w] for k in range(2 * reach + 1)])
-    return np.logical_or.reduce([across[k : k + h] for k in range(2 * reach + 1)])
-
-
 def away_from_jumps(truth: npt.ArrayLike, *, jump_px: float = JUMP_PX, clear_px: int = CLEAR_PX) -> Bool:
     """(H, W) pixels with no jump of more than `jump_px` between known neighbours, and no unknown pixel, within `clear_px`."""
     t = np.asarray(truth, dtype=np.float64)
-    jump = ~np.isfinite(t)
-    with np.errstate(invalid="ignore"):
-        jump[:, 1:] |= np.abs(np.diff(t, axis=1)) > jump_px
-        jump[1:] |= np.abs(np.diff(t, axis=0)) > jump_px
-    return ~_dilated(jump, clear_px)
+    return ~(near_edges(t, jump=jump_px, band_px=clear_px) | grown(~np.isfinite(t), clear_px))
 
 
 def disparity_normal_figures(

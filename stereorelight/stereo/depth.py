@@ -88,17 +88,16 @@ def depth_on_plate(depth: RectifiedDepth, rectification: Rectification, *, eye: 
     rig = rectification.rig
     refined, camera = depth.refined, rectification.original.camera(eye)
     if rectification.identity:
-        disparity, nearest = refined.disparity, np.arange(refined.disparity.size, dtype=np.int32).reshape(refined.disparity.shape)
-        stretch = np.ones(camera.size_hw)
+        disparity, flags, sure, stretch = refined.disparity, depth.flags.copy(), depth.confidence.copy(), 1.0
     else:
-        pixels = rectification.rectified_from_original(eye)
-        disparity, nearest = on_planes(refined.disparity, (refined.slope_x, refined.slope_y), pixels, apart=APART_PX)
+        disparity, nearest = on_planes(
+            refined.disparity, (refined.slope_x, refined.slope_y), rectification.rectified_from_original(eye), apart=APART_PX
+        )
+        flags, sure = depth.flags.ravel()[np.maximum(nearest, 0)], depth.confidence.ravel()[np.maximum(nearest, 0)]
+        flags[nearest < 0], sure[nearest < 0] = np.uint16(Flag.OUT_OF_VIEW | Flag.UNMATCHED), 0
         stretch = rectification.original_over_rectified_depth(eye)
-    reached = nearest >= 0
-    flags = np.where(reached, depth.flags.ravel()[np.maximum(nearest, 0)], np.uint16(Flag.OUT_OF_VIEW | Flag.UNMATCHED)).astype(np.uint16)
-    sure = np.where(reached, depth.confidence.ravel()[np.maximum(nearest, 0)], np.float32(0))
-    far = reached & ~(disparity + rig.doffs_px >= SMALLEST_DISPARITY_PX)
-    flags |= np.where(far, np.uint16(Flag.TOO_FAR), np.uint16(0))
+    far = disparity + np.float32(rig.doffs_px) < SMALLEST_DISPARITY_PX
+    flags[far] |= np.uint16(Flag.TOO_FAR)
     Z = (rig.depth_from_disparity(disparity) * stretch).astype(np.float32)
     Z[far] = np.nan
     if not fill:

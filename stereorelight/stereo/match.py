@@ -22,10 +22,12 @@ COARSE_WIDTH = 160  # pixels of the picture in which the range is looked for
 COARSE_REACH = 0.6  # of the frame's width: no disparity beyond it is looked for without a near_m
 TAIL = 0.002  # share of believed matches at either end that does not widen the range
 BEHIND_LIMIT = 0.6  # share of believed matches behind the rig at which the eyes must be swapped
+TEXTURE = 1.0  # grey levels a pixel: ground plainer than this proves nothing
+FEWEST_MATCHES = 0.2  # share of textured ground that both eyes must confirm; noise against noise gives less than a tenth
 BLOCK = 3
 DISCONTINUITY_RADIUS = 2  # px about a jump in which the filter trusts nothing
 SPECKLE_PX = 60  # an island of disparity smaller than this is a wrong match
-P1, P2 = 4 * BLOCK**2, 24 * BLOCK**2  # penalties of a step by one and of a jump, per channel
+P1, P2 = 2 * BLOCK**2, 16 * BLOCK**2  # penalties of a step by one and of a jump, per channel: lower than usual, since planes smooth later
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,10 +152,10 @@ def search_range(proxy: Proxy, rig: RectifiedRig, *, near_m: float | None = None
     reach = COARSE_REACH * width
     wide = DisparityRange.holding(infinity - reach / 3, infinity + reach)
     found = match(coarse, wide, dense=False)
-    believed = consistent(found.left, found.right, within_px=0.75) & coarse.left_known
-    believed &= np.abs(cv2.Scharr(coarse.left_grey, cv2.CV_32F, 1, 0)) / 32 > 1.0
+    textured = coarse.left_known & (np.abs(cv2.Scharr(coarse.left_grey, cv2.CV_32F, 1, 0)) / 32 > TEXTURE)
+    believed = consistent(found.left, found.right, within_px=0.75) & textured
     d = found.left[believed]
-    if d.size < 0.01 * believed.size:
+    if d.size < max(FEWEST_MATCHES * textured.sum(), 50):
         raise PlateError("left and right plates hardly match anywhere; are they swapped, of another moment, or of another rig?")
     behind = float(np.mean(d < infinity - 1.5))
     if behind > BEHIND_LIMIT:

@@ -2,7 +2,8 @@
 
 In: a `Proxy` and its dense disparity.  Out: a `Refined` disparity with slopes.  Each step is against one fault:
 - variational refinement (Brox et al. 2004, OpenCV's) takes out the whole-pixel steps of the matcher;
-- ground that the other eye cannot see takes the disparity of the background beside it, never a blend of actor and wall;
+- ground that the other eye cannot see takes the disparity of the background beside it, and every pixel on a depth edge
+  that of the side it looks like: never a blend of actor and wall;
 - a robust local plane takes out the noise that would turn normals, and leaves a slope per pixel;
 - photometric planes (Lucas and Kanade 1981, over each pixel's own surface) take out what the first steps leave on plain
   ground: a bias of 0.1-0.3 px that follows the fraction of the disparity.  Wide windows first, since bias is wide."""
@@ -15,6 +16,7 @@ import cv2
 import numpy as np
 
 from stereorelight.arrays import Bool, Float32
+from stereorelight.engine.edges import joined_to_sides
 from stereorelight.engine.occlusion import background, unseen
 from stereorelight.engine.photometric import brightness_residual, measured_disparity
 from stereorelight.engine.refine import Planes, blended, robust_planes
@@ -69,6 +71,7 @@ EFFORTS = {
     "standard": Effort(variational=2, passes=1, rounds=(WIDE, NARROW)),
     "fine": Effort(variational=5, passes=2, rounds=(WIDER, NARROW, CLOSE)),
 }
+JUMP_PX = 1.5  # a step between neighbours that no surface worth lighting makes
 LOCAL = (9, 9)  # window over which a difference of brightness between the eyes is exposure, not disparity
 NOISE_FLOOR = 1.0  # grey levels: quantisation and resampling leave no less
 UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.3
@@ -106,6 +109,13 @@ def _out_of_range(disparity: Float32, confirmed: Bool) -> Bool:
     return (disparity < low - 0.5) | (disparity > high + 0.5)
 
 
+def _joined(disparity: Float32, proxy: Proxy) -> Float32:
+    """`disparity` without the ramps that smoothing leaves at depth edges: each pixel on one joins the side that it looks like."""
+    near = np.ones((3, 3), np.uint8)
+    ramp = cv2.dilate(disparity, near) - cv2.erode(disparity, near) > JUMP_PX
+    return joined_to_sides(disparity, ramp, proxy.left, jump_px=JUMP_PX)
+
+
 def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EFFORTS["standard"], tau_px: float = 0.5) -> Refined:
     """The refined disparity of the left eye.
 
@@ -116,7 +126,7 @@ def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EF
     fine = _from_rows_that_match(fine, proxy)
     lost = (unseen(fine) | _out_of_range(fine, confirmed)) & ~confirmed
     # The median takes out streaks: a row whose nearest match is wrong.
-    filled = np.where(lost, cv2.medianBlur(background(fine, confirmed), 5), fine)
+    filled = _joined(np.where(lost, cv2.medianBlur(background(fine, confirmed), 5), fine), proxy)
     trust = np.where(confirmed, np.float32(1), np.float32(UNSURE_TRUST))
     trust[lost] = UNSEEN_TRUST
     planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
