@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-sys.path.insert(0, str(Path(__file__).parent.parent))
-from reference_light import reference_layers, reference_relight
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from stereorelight.camera import Camera
 from stereorelight.comp import relight
 from stereorelight.light.lights import DirectionalLight, Light, PointLight, SpotLight
 from stereorelight.light.shade import light_layers, relight_fused
 from stereorelight.surface.position import position_from_depth
+from tests.reference_light import reference_layers, reference_relight
 
 SIZE = (1920, 1080)
 MOST_FLOORS, LEAST_NUMPY = 8.0, 30.0
