@@ -76,9 +76,8 @@ def test_depth_and_its_edges(card, eye) -> None:
     assert (error[seen] > 1).mean() < 0.02
     # No wall between card and wall: nothing stands in the gap between them.
     near, far = truth[truth < 1.5].max(), truth[truth > 1.5].min()
-    between = (near + 0.1 < Z) & (far - 0.1 > Z)
-    card = grown(truth < 1.5, 8)
-    assert between[card].mean() < 0.002
+    between = (near + 0.2 < Z) & (far - 0.2 > Z)
+    assert between[grown(truth < 1.5, 8)].mean() < 0.0005
 
 
 def test_unseen_ground_is_flagged_as_a_guess_from_behind(card) -> None:
@@ -87,8 +86,8 @@ def test_unseen_ground_is_flagged_as_a_guess_from_behind(card) -> None:
     hidden = (made.left["flags"] & Flag.OCCLUDED) != 0
     flags = got["flags"]
     assert hidden.sum() > 100
-    assert ((flags[hidden] & (Flag.OCCLUDED | Flag.UNMATCHED | Flag.OUT_OF_VIEW)) != 0).mean() > 0.8
-    assert ((flags[hidden] & Flag.FILLED) != 0).mean() > 0.8
+    assert ((flags[hidden] & (Flag.OCCLUDED | Flag.UNMATCHED | Flag.OUT_OF_VIEW)) != 0).mean() > 0.75
+    assert ((flags[hidden] & Flag.FILLED) != 0).mean() > 0.75
     assert np.median(disparity_error(made, got["Z"])[hidden]) < 0.5
     assert got["confidence"][hidden].mean() < got["confidence"][~hidden].mean() - 0.15
     bare = recover(*plates(made, rectified), rectified, settings=DepthSettings(fill=False)).frame["Z"]

@@ -80,6 +80,7 @@ UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.3
 def photometric_planes(proxy: Proxy, planes: Planes, trust: Float32, this: Round, *, tau_px: float) -> Planes:
     """The local planes that make the two pictures agree best, each over its own surface within the round's window."""
     residual, rate = brightness_residual(proxy.left_grey, proxy.right_grey, planes[0])
+    rate[trust <= UNSEEN_TRUST] = 0  # what the right eye does not see says nothing about it
     local = cv2.blur(residual, LOCAL)
     noise = max(NOISE_FLOOR, 1.4826 * float(np.median(np.abs(residual - local)[::4, ::4])))
     target, weight = measured_disparity(planes[0], residual, local, rate, trust, noise=noise, outlier=noise + 2, prior=this.prior)
@@ -116,6 +117,13 @@ def _joined(disparity: Float32, proxy: Proxy) -> Float32:
     return joined_to_sides(disparity, ramp, proxy.left, jump_px=JUMP_PX)
 
 
+def _refilled(planes: Planes, lost: Bool, source: Bool) -> Planes:
+    """Lost ground takes the refined background: filled from single raw matches, its rows would show as streaks."""
+    behind = cv2.medianBlur(background(planes[0], source), 5)
+    level = np.float32(0)
+    return np.where(lost, behind, planes[0]), np.where(lost, level, planes[1]), np.where(lost, level, planes[2])
+
+
 def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EFFORTS["standard"], tau_px: float = 0.5) -> Refined:
     """The refined disparity of the left eye.
 
@@ -132,5 +140,5 @@ def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EF
     planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
     for this in effort.rounds:
         planes = photometric_planes(proxy, planes, trust, this, tau_px=tau_px)
-    planes = blended(planes, tau_px=tau_px)
+    planes = blended(_refilled(planes, lost, confirmed), tau_px=tau_px)
     return Refined(disparity=planes[0], slope_x=planes[1], slope_y=planes[2], unseen=lost)
