@@ -22,10 +22,12 @@ def _joined(first, end, disparity, zone, picture, radius, jump, decay, decisive,
             out[y, x] = d
             if not zone[y, x]:
                 continue
-            y0, y1, x0, x1 = max(y - radius, 0), min(y + radius + 1, H), max(x - radius, 0), min(x + radius + 1, W)
+            y0, y1, x0, x1 = y - radius, y + radius + 1, x - radius, x + radius + 1
+            y0, x0 = y0 if y0 >= 0 else y & 1, x0 if x0 >= 0 else x & 1
+            y1, x1 = min(y1, H), min(x1, W)
             low, high = f4(np.inf), f4(-np.inf)
-            for j in range(y0, y1):
-                for i in range(x0, x1):
+            for j in range(y0, y1, 2):
+                for i in range(x0, x1, 2):
                     if not zone[j, i]:
                         low, high = min(low, disparity[j, i]), max(high, disparity[j, i])
             if not high - low > jump:  # one surface, or nothing to join
@@ -33,8 +35,8 @@ def _joined(first, end, disparity, zone, picture, radius, jump, decay, decisive,
             middle = f4(0.5) * (low + high)
             far_weight, far_sum, near_weight, near_sum = f4(0), f4(0), f4(0), f4(0)
             b, g, r = f4(picture[y, x, 0]), f4(picture[y, x, 1]), f4(picture[y, x, 2])
-            for j in range(y0, y1):
-                for i in range(x0, x1):
+            for j in range(y0, y1, 2):
+                for i in range(x0, x1, 2):
                     if zone[j, i]:
                         continue
                     other = (abs(f4(picture[j, i, 0]) - b) + abs(f4(picture[j, i, 1]) - g) + abs(f4(picture[j, i, 2]) - r)) * decay
@@ -51,18 +53,19 @@ def _joined(first, end, disparity, zone, picture, radius, jump, decay, decisive,
                 to_near = True
             elif far_weight > decisive * near_weight:
                 to_near = False
-            if to_near and near_weight > f4(0):
-                out[y, x] = near_sum / near_weight
-            elif not to_near and far_weight > f4(0):
-                out[y, x] = far_sum / far_weight
+            side_weight, side_sum = (near_weight, near_sum) if to_near else (far_weight, far_sum)
+            # A pixel that lies on its side already keeps its own value: only ramps and strays move.
+            if side_weight > f4(0) and abs(d - side_sum / side_weight) > jump:
+                out[y, x] = side_sum / side_weight
 
 
 def joined_to_sides(
-    disparity: Float32, zone: Bool, picture: UInt8, *, radius_px: int = 3, jump_px: float = 1.5, tone_levels: float = 16.0, decisive: float = 2.0
+    disparity: Float32, zone: Bool, picture: UInt8, *, radius_px: int = 6, jump_px: float = 1.5, tone_levels: float = 16.0, decisive: float = 4.0
 ) -> Float32:
     """Every pixel of `zone` takes the disparity of the near or the far side about it, never one between.
 
     The side that looks like the pixel wins where it does so by `decisive`; else the pixel keeps the side that it leaned to.
+    radius_px   : even; how far to look for the two sides, every other pixel.
     tone_levels : difference of tone, grey levels, at which likeness falls to a half.
     """
     out = np.empty_like(disparity)

@@ -72,6 +72,7 @@ EFFORTS = {
     "fine": Effort(variational=5, passes=2, rounds=(WIDER, NARROW, CLOSE)),
 }
 JUMP_PX = 1.5  # a step between neighbours that no surface worth lighting makes
+FATTENING_PX = 3  # how far matching carries a near surface past its outline
 LOCAL = (9, 9)  # window over which a difference of brightness between the eyes is exposure, not disparity
 NOISE_FLOOR = 1.0  # grey levels: quantisation and resampling leave no less
 UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.3
@@ -111,10 +112,11 @@ def _out_of_range(disparity: Float32, confirmed: Bool) -> Bool:
 
 
 def _joined(disparity: Float32, proxy: Proxy) -> Float32:
-    """`disparity` without the ramps that smoothing leaves at depth edges: each pixel on one joins the side that it looks like."""
+    """`disparity` without the ramps and the fattening that matching leaves at depth edges: each pixel there joins the side it looks like."""
     near = np.ones((3, 3), np.uint8)
     ramp = cv2.dilate(disparity, near) - cv2.erode(disparity, near) > JUMP_PX
-    return joined_to_sides(disparity, ramp, proxy.left, jump_px=JUMP_PX)
+    zone = cv2.dilate(ramp.view(np.uint8), np.ones((2 * FATTENING_PX + 1, 2 * FATTENING_PX + 1), np.uint8)) > 0
+    return joined_to_sides(disparity, zone, proxy.left, jump_px=JUMP_PX)
 
 
 def _refilled(planes: Planes, lost: Bool, source: Bool) -> Planes:

@@ -42,7 +42,8 @@ def figures(disparity: np.ndarray) -> str:
     normals = disparity_normal_figures(disparity, pair.disparity, pair.rig, nonoccluded=pair.nonoccluded)
     seen, everywhere = depth.regions["nonoccluded"], depth.regions["all"]
     return (
-        f"cover {seen.cover_percent:5.1f}  bad2 {seen.bad_percent[2.0]:5.2f}  all {everywhere.bad_percent[2.0]:5.2f}  bad0.5 {seen.bad_percent[0.5]:5.2f}  "
+        f"cover {seen.cover_percent:5.1f}  "
+        f"bad2 {seen.bad_percent[2.0]:5.2f}  all {everywhere.bad_percent[2.0]:5.2f}  bad0.5 {seen.bad_percent[0.5]:5.2f}  "
         f"N5 {normals.median_deg:5.2f} deg, {normals.under_percent[11.25]:4.1f} % under 11.25"
     )
 
