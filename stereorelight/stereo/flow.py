@@ -34,7 +34,7 @@ def flow_disparity(proxy: Proxy, *, within_px: float = 1.0) -> FlowMatch:
     height, width = proxy.left_grey.shape
     half = (max(width // 2, 16), max(height // 2, 16))
     left, right = (cv2.resize(p, half, interpolation=cv2.INTER_AREA).astype(np.uint8) for p in (proxy.left_grey, proxy.right_grey))
-    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
+    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
     there, back = dis.calc(left, right, None), dis.calc(right, left, None)
     size = np.array([width / half[0], height / half[1]], np.float32)
     residual = (there + _look_up(back, there)) * size

@@ -27,7 +27,7 @@ FEWEST_MATCHES = 0.2  # share of textured ground that both eyes must confirm; no
 BLOCK = 3
 DISCONTINUITY_RADIUS = 2  # px about a jump in which the filter trusts nothing
 SPECKLE_PX = 60  # an island of disparity smaller than this is a wrong match
-P1, P2 = 2 * BLOCK**2, 16 * BLOCK**2  # penalties of a step by one and of a jump, per channel: lower than usual, since planes smooth later
+P1, P2 = 2 * BLOCK**2, 12 * BLOCK**2  # penalties of a step by one and of a jump, per channel: lower than usual, since planes smooth later
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ def match(
     *,
     exhaustive: bool = False,
     dense: bool = True,
-    wls_lambda: float = 100.0,
+    wls_lambda: float = 70.0,
     wls_sigma: float = 1.5,
 ) -> Match:
     """Match both eyes by SGBM, then filter the left disparity along edges (weighted least squares, Min et al. 2014).

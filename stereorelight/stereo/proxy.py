@@ -21,7 +21,7 @@ Number = TypeVar("Number", np.float32, np.uint16)
 WHITE_QUANTILE = 0.99
 HEADROOM = 1.25  # white lies this much above that quantile
 QUANTILES = 256
-SAMPLES = 50_000  # pixels looked at for statistics: enough for a quantile to a tenth of a grey level
+SAMPLES = 20_000  # pixels looked at for statistics: enough for a quantile to a fifth of a grey level
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

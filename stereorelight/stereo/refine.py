@@ -59,7 +59,7 @@ NARROW, CLOSE = Round(radius=8, stride=2, prior=2.0), Round(radius=5, stride=1, 
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How much refinement a quality buys: variational steps, passes of the first plane fit, photometric rounds."""
+    """How much refinement a quality buys: variational steps (0: photometric planes do that work), passes of the first plane fit, photometric rounds."""
 
     variational: int
     passes: int
@@ -67,8 +67,8 @@ class Effort:
 
 
 EFFORTS = {
-    "draft": Effort(variational=2, passes=2, rounds=()),
-    "standard": Effort(variational=2, passes=1, rounds=(WIDE, NARROW)),
+    "draft": Effort(variational=1, passes=2, rounds=()),
+    "standard": Effort(variational=0, passes=1, rounds=(WIDE, NARROW)),
     "fine": Effort(variational=5, passes=2, rounds=(WIDER, NARROW, CLOSE)),
 }
 JUMP_PX = 1.5  # a step between neighbours that no surface worth lighting makes
@@ -132,7 +132,7 @@ def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EF
     dense     : (H, W) disparity with a value everywhere.   confirmed : (H, W), the right eye says the same.
     tau_px    : how far off a plane a neighbour may lie and still belong to the surface.
     """
-    fine = sub_pixel(proxy, dense, iterations=effort.variational)
+    fine = sub_pixel(proxy, dense, iterations=effort.variational) if effort.variational else dense
     fine = _from_rows_that_match(fine, proxy)
     lost = (unseen(fine) | _out_of_range(fine, confirmed)) & ~confirmed
     # The median takes out streaks: a row whose nearest match is wrong.
