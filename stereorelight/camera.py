@@ -27,7 +27,7 @@ ROTATION_TOLERANCE = 1e-4  # what a matrix printed with five digits may be off b
 def _matrix(value: Any, shape: tuple[int, ...], name: str) -> Float64:
     try:
         m = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise RigError(f"{name} must be {shape} numbers, got {value!r}") from None
     if m.shape != shape:
         raise RigError(f"{name} must have shape {shape}, got {m.shape}")
@@ -44,6 +44,8 @@ def _rotation(value: Any, name: str) -> Float64:
         raise RigError(f"{name} is not a rotation: R R^T is off the identity by {off:.2g}; use the 3x3 matrix that the calibration wrote")
     if np.linalg.det(R) < 0:
         raise RigError(f"{name} is a reflection (determinant -1), not a rotation; a mirrored eye is said by 'mirrored', not by R")
+    if off < 1e-12:  # a rotation to rounding stays as it is, so that a rig comes back from its file bit for bit
+        return R
     u, _, vt = np.linalg.svd(R)
     nearest: Float64 = u @ vt
     nearest.setflags(write=False)
@@ -71,7 +73,7 @@ class Camera:
         put = object.__setattr__
         try:
             w, h = (int(n) for n in self.size)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise RigError(f"size must be [width, height] in pixels, got {self.size!r}") from None
         if w < 1 or h < 1 or (w, h) != tuple(self.size):
             raise RigError(f"size must be two whole numbers of at least 1, got {list(self.size)}")
@@ -249,7 +251,7 @@ class RectifiedRig:
     R_rectified_right: Float64 = field(default_factory=lambda: np.eye(3))
 
     def __post_init__(self) -> None:
-        if not self.baseline_m > 0:
+        if not 0 < self.baseline_m < math.inf:
             raise RigError(f"baseline_m must be > 0, got {self.baseline_m:g}; are left and right swapped?")
         a, b = self.left, self.right
         if a.distorts or b.distorts:

@@ -15,10 +15,14 @@ from stereorelight.errors import OutputError
 
 def refuse_overwrite(path: Path, *, force: bool) -> None:
     """Raise OutputError where `path` exists and `force` is off, or is no ordinary file.  Called before any work is done."""
-    if path.exists() and not path.is_file():
+    try:
+        exists, is_file = path.exists(), path.is_file()
+    except OSError as error:  # a folder that may not be entered, a name too long
+        raise OutputError(f"{path}: {_reason(error)}") from error
+    if exists and not is_file:
         # Renaming onto a device would replace the device itself, /dev/null included.
         raise OutputError(f"{path}: is a {'folder' if path.is_dir() else 'device'}, not a file; choose another --out")
-    if path.exists() and not force:
+    if exists and not force:
         raise OutputError(f"{path}: exists already; give --force to replace it, or another --out")
 
 

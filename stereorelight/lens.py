@@ -17,16 +17,18 @@ from stereorelight.errors import RigError, nearest_hint
 
 COUNTS = {"brown": (0, 4, 5), "rational": (0, 8), "fisheye": (0, 4)}
 NEWTON_STEPS = 30
-CONVERGED = 1e-10  # normalised units: a millionth of a pixel at any focal length in use
+CONVERGED = 1e-12  # normalised units, before the last step: straight points come back to 1e-9 also where the lens is flat
+FARTHEST = 10.0  # radius up to which a brown or rational lens is searched for its fold: 84 degrees off axis
+START_CONVERGED = 1e-3  # Newton in two dimensions goes on from here
 
 
 def checked_parameters(model: str, distortion: Sequence[float]) -> tuple[float, ...]:
     """`distortion` as floats, after checking model and count.  Raises RigError."""
-    if model not in COUNTS:
+    if not isinstance(model, str) or model not in COUNTS:
         raise RigError(f"lens model {model!r} is unknown{nearest_hint(str(model), COUNTS)}")
     try:
         values = tuple(float(v) for v in np.ravel(distortion))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise RigError(f"distortion must be numbers, got {distortion!r}") from None
     if len(values) not in COUNTS[model]:
         wanted = " or ".join(str(n) for n in COUNTS[model])
@@ -60,7 +62,7 @@ def fold_radius(model: str, distortion: tuple[float, ...]) -> float:
         grows = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4))) > 0
         return math.inf if grows.all() else float(math.tan(theta[max(int(np.argmin(grows)) - 1, 0)]))
     k = _coefficients(distortion)
-    r = np.linspace(0, 10, 20001)
+    r = np.linspace(0, FARTHEST, 20001)
     r2 = r * r
     with np.errstate(all="ignore"):
         g, dg = _radial(r2, k)
@@ -96,7 +98,7 @@ def distort(straight: Float64, model: str, distortion: tuple[float, ...]) -> Flo
 
 
 def undistort(bent: Float64, model: str, distortion: tuple[float, ...]) -> Float64:
-    """The normalised point (..., 2) that the lens puts at `bent`, by Newton's method to 1e-10."""
+    """The normalised point (..., 2) that the lens puts at `bent`, by Newton's method, to 1e-9."""
     p = np.asarray(bent, dtype=np.float64)
     if model != "fisheye" and not any(distortion):
         return p.copy()
@@ -106,8 +108,7 @@ def undistort(bent: Float64, model: str, distortion: tuple[float, ...]) -> Float
     p1, p2 = k[2], k[3]
     xd, yd = p[..., 0], p[..., 1]
     reach = fold_radius(model, distortion)
-    # Start no farther out than the fold, or Newton can land on the far branch.
-    start = np.minimum(1.0, 0.9 * reach / np.maximum(np.hypot(xd, yd), 1e-12)) if math.isfinite(reach) else 1.0
+    start = _radial_start(np.hypot(xd, yd), k, min(reach, FARTHEST))
     x, y = xd * start, yd * start
     error = np.full(x.shape, np.inf)
     with np.errstate(all="ignore"):
@@ -129,10 +130,33 @@ def undistort(bent: Float64, model: str, distortion: tuple[float, ...]) -> Float
     return np.where(known[..., None], np.stack([x, y], axis=-1), np.nan)
 
 
+def _radial_start(bent: Float64, k: Sequence[float], reach: float) -> Float64:
+    """Factor from the bent radius to the straight one, the tangential terms aside.
+
+    Bracketed within the fold, or Newton can land on the far branch, and beside a pole on none."""
+    low, high = np.zeros_like(bent), np.full_like(bent, reach)
+    r = np.minimum(bent, 0.9 * reach)
+    with np.errstate(all="ignore"):
+        for _ in range(NEWTON_STEPS):
+            g, dg = _radial(r * r, k)
+            f = r * g - bent
+            if not (np.abs(f) > START_CONVERGED).any():
+                break
+            low, high = np.where(f <= 0, r, low), np.where(f >= 0, r, high)
+            step = r - f / (g + 2 * r * r * dg)
+            r = np.where((step >= low) & (step <= high), step, (low + high) / 2)
+    factor: Float64 = r / np.maximum(bent, 1e-12)
+    return factor
+
+
 def _undistort_fisheye(p: Float64, distortion: tuple[float, ...]) -> Float64:
     k1, k2, k3, k4 = distortion or (0.0,) * 4
     bent = np.sqrt((p * p).sum(axis=-1))
-    theta = np.minimum(bent, 1.5)
+    reach = min(math.atan(fold_radius("fisheye", distortion)), math.pi / 2 - 1e-6)
+    # The angle is bracketed: coefficients of both signs send plain Newton steps out of the model's reach.
+    low, high = np.zeros_like(bent), np.full_like(bent, reach)
+    theta = np.minimum(bent, 0.9 * reach)
+    f = np.full_like(bent, np.inf)
     with np.errstate(all="ignore"):
         for _ in range(NEWTON_STEPS):
             t2 = theta * theta
@@ -140,8 +164,9 @@ def _undistort_fisheye(p: Float64, distortion: tuple[float, ...]) -> Float64:
             df = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
             if not (np.abs(f) > CONVERGED).any():
                 break
-            theta = theta - f / df
-        reach = math.atan(fold_radius("fisheye", distortion))
-        known = (np.abs(f) < 1e-7) & (theta >= 0) & (theta < min(reach, math.pi / 2 - 1e-6) + 1e-12)
+            low, high = np.where(f <= 0, theta, low), np.where(f >= 0, theta, high)
+            step = theta - f / df
+            theta = np.where((step >= low) & (step <= high), step, (low + high) / 2)
+        known = np.abs(f) < 1e-7
         factor = np.where(bent > 1e-12, np.tan(theta) / np.maximum(bent, 1e-12), 1.0)
     return np.where(known[..., None], p * factor[..., None], np.nan)

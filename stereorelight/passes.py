@@ -86,6 +86,10 @@ def _checked(name: str, array: Any, size_hw: tuple[int, int] | None) -> npt.NDAr
         flags = np.asarray(array)
         if flags.ndim != 2 or not np.issubdtype(flags.dtype, np.integer) or (size_hw and flags.shape != size_hw):
             raise PassError(f"flags must be whole numbers of shape {size_hw or '(H, W)'}, got {flags.dtype} {flags.shape}")
+        if flags.size == 0:
+            raise PassError(f"flags is empty: shape {flags.shape}")
+        if flags.min() < 0 or flags.max() > 65535:
+            raise PassError(f"flags must lie in 0 ... 65535, got {flags.min()} ... {flags.max()}")
         return np.ascontiguousarray(flags, dtype=np.uint16)
     a = as_float32(array, name, channels=role.channels, size_hw=size_hw)
     if role.colour:

@@ -21,6 +21,7 @@ def _lanczos_table() -> Float32:
     """Weights (STEPS + 1, 6) of the six pixels about each fraction; each row sums to one, so plain areas stay plain."""
     x = np.linspace(0, 1, STEPS + 1)[:, None] + (LOBES - 1) - np.arange(2 * LOBES)
     weights = np.sinc(x) * np.sinc(x / LOBES) * (np.abs(x) < LOBES)
+    weights[np.abs(weights) < 1e-12] = 0  # the sinc of a whole number: a whole position gives its pixel exactly
     return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
 
 

@@ -88,6 +88,8 @@ def read_rig(path: str | Path) -> Rig:
         raise RigError(f"{path}: not valid JSON at line {error.lineno}, column {error.colno}: {error.msg}") from None
     except UnicodeDecodeError:
         raise RigError(f"{path}: not a text file; a rig file is JSON") from None
+    except (ValueError, RecursionError):  # a number of thousands of digits, brackets thousands deep
+        raise RigError(f"{path}: not a rig file; a number or a nesting in it is beyond reading") from None
     try:
         return rig_from_dict(table)
     except RigError as error:
