@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stereorelight.arrays import Bool, Float32
+from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.edges import joined_to_sides
 from stereorelight.engine.occlusion import background, unseen
 from stereorelight.engine.photometric import brightness_residual, measured_disparity
@@ -111,12 +111,19 @@ def _out_of_range(disparity: Float32, confirmed: Bool) -> Bool:
     return (disparity < low - 0.5) | (disparity > high + 0.5)
 
 
+def _ramps(disparity: Float32) -> UInt8:
+    """(H, W) uint8, 1 where neighbours step by more than one surface would."""
+    near = np.ones((3, 3), np.uint8)
+    return (cv2.dilate(disparity, near) - cv2.erode(disparity, near) > JUMP_PX).view(np.uint8)
+
+
 def _joined(disparity: Float32, proxy: Proxy) -> Float32:
     """`disparity` without the ramps and the fattening that matching leaves at depth edges: each pixel there joins the side it looks like."""
-    near = np.ones((3, 3), np.uint8)
-    ramp = cv2.dilate(disparity, near) - cv2.erode(disparity, near) > JUMP_PX
-    zone = cv2.dilate(ramp.view(np.uint8), np.ones((2 * FATTENING_PX + 1, 2 * FATTENING_PX + 1), np.uint8)) > 0
-    return joined_to_sides(disparity, zone, proxy.left, jump_px=JUMP_PX)
+    zone = cv2.dilate(_ramps(disparity), np.ones((2 * FATTENING_PX + 1, 2 * FATTENING_PX + 1), np.uint8)) > 0
+    joined = joined_to_sides(disparity, zone, proxy.left, jump_px=JUMP_PX)
+    # Each pixel chose for itself; the median lets an outline be a line.
+    outline = cv2.dilate(_ramps(joined), np.ones((3, 3), np.uint8)) > 0
+    return np.where(outline, cv2.medianBlur(joined, 5), joined)
 
 
 def _refilled(planes: Planes, lost: Bool, source: Bool) -> Planes:
