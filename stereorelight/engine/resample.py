@@ -70,7 +70,7 @@ def _on_planes(first, end, value, slope_x, slope_y, pixels, apart, out, nearest)
             out[y, x], nearest[y, x] = np.nan, -1
             if not (u >= f4(-0.5) and v >= f4(-0.5) and u < f4(W - 0.5) and v < f4(H - 0.5)):
                 continue
-            xn, yn = int(np.floor(u + f4(0.5))), int(np.floor(v + f4(0.5)))
+            xn, yn = min(int(np.floor(u + f4(0.5))), W - 1), min(int(np.floor(v + f4(0.5))), H - 1)
             nearest[y, x] = yn * W + xn
             here = value[yn, xn] + slope_x[yn, xn] * (u - f4(xn)) + slope_y[yn, xn] * (v - f4(yn))
             if not np.isfinite(here):

@@ -1,0 +1,128 @@
+"""What brightness says of disparity: a smooth texture, shifted by a known amount, leads a wrong disparity to the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stereorelight.engine.photometric import believed, brightness_residual, measured_disparity
+
+f4 = np.float32
+HW = (12, 96)
+INSIDE = (slice(None), slice(30, -30))  # away from the ends, where x - d leaves the row
+CUBIC = 0.05  # grey levels of 100: what a cubic loses of a wave of 12 px
+SETTINGS = {"noise": 1.0, "outlier": 20.0, "prior": 1e-4}
+
+
+def texture(x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Grey levels of a smooth, unrepeating row."""
+    return 128 + 40 * np.sin(2 * np.pi * x / 23 + 0.4) + 25 * np.sin(2 * np.pi * x / 14.3)
+
+
+def pair(true: float) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Left and right picture of a wall at disparity `true`: left(x) = right(x - true)."""
+    x = np.tile(np.arange(HW[1], dtype=np.float64), (HW[0], 1))
+    return texture(x).astype(f4), texture(x + true).astype(f4)
+
+
+def full(value: float) -> npt.NDArray[np.float32]:
+    return np.full(HW, value, f4)
+
+
+def asked(left: npt.NDArray[np.float32], right: npt.NDArray[np.float32], d: npt.NDArray[np.float32], local: float = 0.0) -> npt.NDArray[np.float32]:
+    residual, rate = brightness_residual(left, right, d)
+    return measured_disparity(d, residual, full(local), rate, full(1), **SETTINGS)[0]
+
+
+@given(true=st.floats(-20, 20))
+def test_no_residual_at_the_truth(true: float) -> None:
+    left, right = pair(true)
+    residual, rate = brightness_residual(left, right, full(true))
+    assert np.abs(residual[INSIDE]).max() < 10 * CUBIC
+    x = np.tile(np.arange(HW[1], dtype=np.float64), (HW[0], 1))
+    slope = (texture(x + 1e-4) - texture(x - 1e-4)) / 2e-4
+    assert np.abs(rate + slope)[INSIDE].max() < 0.05 * np.abs(slope).max()  # brightness falls with disparity where it rises with x
+
+
+@given(true=st.floats(-15, 15), off=st.floats(-0.8, 0.8))
+def test_a_wrong_disparity_is_led_to_the_truth(true: float, off: float) -> None:
+    left, right = pair(true)
+    d = full(true + off)
+    for _ in range(4):
+        d = asked(left, right, d)
+    x = np.arange(HW[1], dtype=np.float64)
+    steep = np.zeros(HW, bool)
+    steep[INSIDE] = np.abs(texture(x + 0.5) - texture(x - 0.5))[INSIDE[1]] > 6
+    assert steep.sum() > 100
+    assert np.abs(d - true)[steep].max() < 0.05
+    assert np.median(np.abs(d - true)[steep]) < 0.01
+
+
+def test_one_step_goes_most_of_the_way() -> None:
+    left, right = pair(5.3)
+    x = np.arange(HW[1], dtype=np.float64)
+    steep = np.abs(texture(x + 0.5) - texture(x - 0.5)) > 8
+    steep[:30] = steep[-30:] = False
+    assert np.median(np.abs(asked(left, right, full(5.6)) - 5.3)[:, steep]) < 0.03
+
+
+def test_an_exposure_difference_is_no_disparity() -> None:
+    left, right = pair(5.3)
+    d = full(5.6)
+    assert np.abs(asked(left + f4(7), right, d, local=7.0) - asked(left, right, d)).max() < 1e-3
+
+
+def test_plain_ground_asks_for_nothing() -> None:
+    wall, d = full(90), full(4.25)
+    residual, rate = brightness_residual(wall, wall, d)
+    target, weight = measured_disparity(d, residual, full(0), rate, full(0.5), **SETTINGS)
+    assert np.array_equal(target, d)
+    assert weight == pytest.approx(SETTINGS["prior"] * 0.5)  # only what was known before
+
+
+@given(
+    e=st.floats(-60, 60), g=st.floats(-30, 30), trust=st.floats(0, 1), noise=st.floats(0.2, 5), outlier=st.floats(1, 30), prior=st.floats(1e-3, 10)
+)
+def test_measured_disparity_is_its_formula(e: float, g: float, trust: float, noise: float, outlier: float, prior: float) -> None:
+    def plain(v: float) -> npt.NDArray[np.float32]:
+        return np.full((1, 1), v, f4)
+
+    target, weight = measured_disparity(plain(3), plain(e + 2), plain(2), plain(g), plain(trust), noise=noise, outlier=outlier, prior=prior)
+    k = 1 / (1 + (e / outlier) ** 2) ** 2 / noise**2
+    w = prior + g * g * k
+    assert target[0, 0] == pytest.approx(3 + g * e * k / w, rel=1e-4, abs=1e-4)
+    assert weight[0, 0] == pytest.approx(w * trust, rel=1e-4, abs=1e-6)
+
+
+def test_a_residual_at_the_outlier_level_counts_a_quarter() -> None:
+    one = np.ones((1, 1), f4)
+    _, weight = measured_disparity(one, 8 * one, 0 * one, one, one, noise=1.0, outlier=8.0, prior=0.0)
+    assert weight[0, 0] == pytest.approx(0.25)
+
+
+def test_rows_end_in_their_last_pixel() -> None:
+    """Beyond the row the border is repeated: no pixel reads another row's grey."""
+    left = np.arange(4 * 9, dtype=f4).reshape(4, 9)
+    for d, end in ((full(0)[:4, :9] + 100, 0), (full(0)[:4, :9] - 100, -1)):
+        residual, _ = brightness_residual(left, left, np.ascontiguousarray(d))
+        assert np.array_equal(residual, left - left[:, end][:, None])
+
+
+@given(seed=st.integers(0, 99))
+def test_believed_is_the_logistic_weighing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    hw = (4, 5)
+    c = rng.normal(size=9).astype(f4)
+    confirmed, unseen = rng.random(hw) < 0.5, rng.random(hw) < 0.5
+    d = rng.normal(scale=3, size=hw).astype(f4)
+    matched, flow = (d + rng.normal(scale=2, size=hw)).astype(f4), (d + rng.normal(scale=2, size=hw)).astype(f4)
+    matched[0, 0] = flow[1, 1] = np.nan
+    texture_, unlike, spread = (rng.gamma(2, 3, hw).astype(f4) for _ in range(3))
+    moved = np.abs(matched - d)
+    t = c[0] + c[1] * confirmed + c[2] * (np.abs(flow - d) <= 1) + c[3] * np.nan_to_num(np.minimum(moved, 3)) + c[4] * np.isnan(moved)
+    t = t + c[5] * np.log1p(texture_) + c[6] * np.log1p(unlike) + c[7] * np.minimum(spread, 6) / 6 + c[8] * unseen
+    out = believed(c, confirmed, unseen, matched, flow, d, texture_, unlike, spread, low=0.1, high=0.9)
+    assert out == pytest.approx(np.clip(1 / (1 + np.exp(-t)), 0.1, 0.9), abs=1e-5)

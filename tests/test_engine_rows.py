@@ -1,0 +1,91 @@
+"""Rows shared out to threads: each once, errors come back, callers do not disturb one another; and the thread counts."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import cv2
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stereorelight.engine.rows import in_row_blocks
+from stereorelight.errors import ShotError
+from stereorelight.threads import set_threads, usable_cores
+
+
+@pytest.fixture(autouse=True)
+def _counts_restored() -> Iterator[None]:
+    for_numba, for_opencv = numba.get_num_threads(), cv2.getNumThreads()
+    yield
+    numba.set_num_threads(for_numba)
+    cv2.setNumThreads(for_opencv)
+
+
+@given(height=st.integers(0, 200), block=st.integers(1, 40))
+def test_every_row_once(height: int, block: int) -> None:
+    seen: list[tuple[int, int]] = []
+    in_row_blocks(lambda first, end: seen.append((first, end)), height, block_rows=block)
+    assert sorted(seen) == [(first, min(first + block, height)) for first in range(0, height, block)]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_first_error_comes_back_and_work_stops(threads: int) -> None:
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    ran: list[int] = []
+
+    def run(first: int, end: int) -> None:
+        ran.append(first)
+        if first == 32:
+            raise ValueError("row 32")
+
+    with pytest.raises(ValueError, match="row 32"):
+        in_row_blocks(run, 16 * 1000)
+    # The other thread may run on until it sees the flag; with one thread nothing follows.
+    assert len(ran) == 3 if threads == 1 else len(ran) < 1000
+
+
+def test_no_more_threads_than_allowed() -> None:
+    numba.set_num_threads(1)
+    names: set[int] = set()
+    in_row_blocks(lambda first, end: names.add(threading.get_ident()), 160)
+    assert names == {threading.get_ident()}
+
+
+def test_callers_at_once_do_not_disturb_one_another() -> None:
+    out = np.zeros((6, 400), np.int64)
+
+    def caller(k: int) -> None:
+        def run(first: int, end: int) -> None:
+            out[k, first:end] += np.arange(first, end) + k
+
+        in_row_blocks(run, 400)
+
+    helpers = [threading.Thread(target=caller, args=(k,)) for k in range(6)]
+    for helper in helpers:
+        helper.start()
+    for helper in helpers:
+        helper.join()
+    assert np.array_equal(out, np.arange(400) + np.arange(6)[:, None])
+
+
+def test_set_threads_sets_both() -> None:
+    assert set_threads(1) == 1
+    assert numba.get_num_threads() == 1
+    assert cv2.getNumThreads() == 1
+    assert set_threads() == usable_cores() >= 1
+    assert numba.get_num_threads() == min(usable_cores(), numba.config.NUMBA_NUM_THREADS)
+
+
+def test_more_threads_than_cores_is_no_error() -> None:
+    assert set_threads(999) == 999
+    assert numba.get_num_threads() == numba.config.NUMBA_NUM_THREADS
+
+
+@pytest.mark.parametrize("count", [0, -1])
+def test_no_threads_is_refused(count: int) -> None:
+    with pytest.raises(ShotError, match="at least 1"):
+        set_threads(count)
