@@ -88,7 +88,7 @@ def depth_on_plate(depth: RectifiedDepth, rectification: Rectification, *, eye: 
     rig = rectification.rig
     refined, camera = depth.refined, rectification.original.camera(eye)
     if rectification.identity:
-        disparity, flags, sure, stretch = refined.disparity, depth.flags.copy(), depth.confidence.copy(), 1.0
+        disparity, flags, sure, stretch = refined.disparity, depth.flags.copy(), depth.confidence.copy(), np.ones(1)
     else:
         disparity, nearest = on_planes(
             refined.disparity, (refined.slope_x, refined.slope_y), rectification.rectified_from_original(eye), apart=APART_PX

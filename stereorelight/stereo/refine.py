@@ -59,7 +59,11 @@ NARROW, CLOSE = Round(radius=8, stride=2, prior=2.0), Round(radius=5, stride=1, 
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How much refinement a quality buys: variational steps (0: photometric planes do that work), passes of the first plane fit, photometric rounds."""
+    """How much refinement a quality buys.
+
+    variational : steps of variational refinement; none where photometric planes do that work.
+    passes      : of the first plane fit.   rounds : of photometric planes.
+    """
 
     variational: int
     passes: int
