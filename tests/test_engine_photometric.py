@@ -47,6 +47,15 @@ def test_no_residual_at_the_truth(true: float) -> None:
     assert np.abs(rate + slope)[INSIDE].max() < 0.05 * np.abs(slope).max()  # brightness falls with disparity where it rises with x
 
 
+def test_the_rate_is_the_mean_of_both_eyes() -> None:
+    left, right = pair(4.0)
+    _, rate = brightness_residual(left, right, full(4.0 + 1.5))
+    x = np.tile(np.arange(HW[1], dtype=np.float64), (HW[0], 1))
+    slope = [(texture(at + 1e-4) - texture(at - 1e-4)) / 2e-4 for at in (x, x - 1.5)]
+    assert np.abs(slope[0] - slope[1])[INSIDE].max() > 10  # either alone would be far off
+    assert np.abs(rate + (slope[0] + slope[1]) / 2)[INSIDE].max() < 1.0
+
+
 @given(true=st.floats(-15, 15), off=st.floats(-0.8, 0.8))
 def test_a_wrong_disparity_is_led_to_the_truth(true: float, off: float) -> None:
     left, right = pair(true)

@@ -59,15 +59,17 @@ def test_a_step_between_two_planes_stays_sharp(step: float, a: float, seed: int)
     assert (value[front] > value[~front].max()).mean() > 0.99
 
 
-def test_noise_goes_and_the_plane_stays() -> None:
-    true = plane(0.05, -0.03, 20)
+@pytest.mark.parametrize(("a", "b"), [(0.05, -0.03), (0.3, -0.2)])
+def test_noise_goes_and_the_plane_stays(a: float, b: float) -> None:
+    """On a steep plane too, where a window spans more than `tau_px`: who belongs is asked of the plane, not of the value."""
+    true = plane(a, b, 20)
     noisy = true + np.random.default_rng(1).normal(scale=0.3, size=HW).astype(np.float32)
-    value, slope_x, _ = robust_planes(noisy, ones(), radius=RADIUS)
+    value, slope_x, _ = robust_planes(noisy, ones(), radius=RADIUS, passes=3)
     inside = (slice(RADIUS, -RADIUS), slice(RADIUS, -RADIUS))
     # 33 samples a window: 0.3 / sqrt(33) = 0.052, and a little for those that are weighed down.
     assert (value - true)[inside].std() < 0.3 / np.sqrt(33) * 1.3
     assert abs((value - true)[inside].mean()) < 0.02
-    assert (slope_x - 0.05)[inside].std() < 0.3 / np.sqrt(33 * 9) * 1.6
+    assert (slope_x - a)[inside].std() < 0.3 / np.sqrt(33 * 9) * 1.6
 
 
 def test_outliers_are_left_out() -> None:

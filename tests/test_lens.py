@@ -122,6 +122,16 @@ def test_no_straight_point_beyond_the_farthest_bent_one() -> None:
     assert np.isnan(undistort(around * farthest * 1.001, "brown", BARREL)).all()
 
 
+def test_the_branch_beyond_the_fold_is_never_the_answer() -> None:
+    """This lens grows again beyond its fold, so that every bent point has a straight one there: a wrong one."""
+    lens = (-0.9, 0.35, 0.0, 0.0)
+    r = np.linspace(0, fold_radius("brown", lens), 2000)
+    farthest = float((r * (1 - 0.9 * r**2 + 0.35 * r**4)).max())
+    bent = np.stack([np.linspace(1.001, 8, 400) * farthest, np.zeros(400)], axis=-1)
+    assert np.isnan(undistort(bent, "brown", lens)).all()
+    assert np.isfinite(undistort(bent / 8.02, "brown", lens)).all()
+
+
 def test_strong_fisheye_of_both_signs_comes_back() -> None:
     """Plain Newton steps left the model's reach for lenses like this one."""
     distortion = (0.15122403579353258, 0.0692021991391786, -0.04361378504047178, -0.013179840588786088)
