@@ -2,8 +2,8 @@
 
 In: a `Rig` and original plates (H, W, 3).  Out: a `Rectification`: the rectified rig, and the same plates on it.
 Frames: camera frames (x right, y down, z forward).  Pixels: (0, 0) is the centre of the top-left pixel.
-The rotations are OpenCV's (`stereoRectify`, Bouguet); the frames are our own choice: the left one holds the whole left
-plate, so that every original pixel can be given a depth, and each eye keeps its own cx, so that converged rigs stay small."""
+The rotations are OpenCV's (`stereoRectify`, Bouguet); the frames are our own choice: each holds its eye's whole plate, so
+that every original pixel can be given a depth, and keeps its own cx, so that converged rigs stay small."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ class Rectification:
     rig: RectifiedRig
     identity: bool
     _maps: dict[str, Float32] = field(default_factory=dict, repr=False)
+    _stretch: dict[Eye, Float64] = field(default_factory=dict, repr=False)
 
     def _cameras(self, eye: Eye) -> tuple[Camera, Camera, Float64]:
         if eye == "left":
@@ -56,9 +57,10 @@ class Rectification:
 
     def original_over_rectified_depth(self, eye: Eye) -> Float64:
         """(H, W) by how much Z along the original optical axis exceeds Z along the rectified one, per original pixel."""
-        source, _, R = self._cameras(eye)
-        depth: Float64 = 1 / (source.rays(source.pixel_grid()) @ R[2])
-        return depth
+        if eye not in self._stretch:
+            source, _, R = self._cameras(eye)
+            self._stretch[eye] = 1 / (source.rays(source.pixel_grid()) @ R[2])
+        return self._stretch[eye]
 
     def upright(self, picture: Float32, eye: Eye) -> Float32:
         """The eye's picture as its camera describes it: a mirrored eye is flipped back left-right."""
