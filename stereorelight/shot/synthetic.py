@@ -32,7 +32,7 @@ LIGHTS: tuple[dict[str, Any], ...] = (
         "name": "key",
         "type": "point",
         "position_m": [0.9, 0.5, -0.7],
-        "intensity": 2.0,
+        "intensity": 5.0,
         "color": [1.0, 0.72, 0.45],
         "specular": 0.05,
         "exponent": 24.0,
@@ -43,7 +43,7 @@ LIGHTS: tuple[dict[str, Any], ...] = (
         "type": "directional",
         "azimuth_deg": -60.0,
         "elevation_deg": 10.0,
-        "intensity": 0.4,
+        "intensity": 0.7,
         "color": [0.5, 0.7, 1.0],
     },
 )
@@ -105,6 +105,6 @@ def write_shot(
         on_frame(index + 1)
     write_rig(rig_path, made_rig, force=force)
     pattern = "plates/{}.png" if frames == 1 else "plates/{}.####.png"
-    text = shot_text(left=pattern.format("left"), right=pattern.format("right"), name=scene, lights=LIGHTS, plate_gain=0.5, command=str(shot_path))
+    text = shot_text(left=pattern.format("left"), right=pattern.format("right"), name=scene, lights=LIGHTS, plate_gain=0.15, command=str(shot_path))
     write_text(shot_path, text, force=force)
     return files
