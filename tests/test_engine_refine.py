@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numba
 import numpy as np
 import numpy.typing as npt
@@ -160,3 +165,25 @@ def test_blending_evens_out_a_grid_and_leaves_a_step() -> None:
     assert np.abs(value - step)[1:-1].max() < 0.05
     inside = (np.abs(x - 29.5) > 1) & (x > 0) & (x < HW[1] - 1) & (y > 0) & (y < HW[0] - 1)
     assert np.abs(value - step)[inside].max() < 0.005
+
+
+FRESH_AND_CACHED = """
+import hashlib, numpy as np
+from stereorelight.engine.refine import blended, robust_planes
+rng = np.random.default_rng(0)
+d, w = rng.random((40, 90), dtype=np.float32) * 3, rng.random((40, 90), dtype=np.float32)
+planes = robust_planes(d, w, radius=4, stride=2, tau_px=0.5)
+print(hashlib.sha256(b"".join(a.tobytes() for a in (*planes, *blended(planes, tau_px=0.5)))).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_compiled_and_cached_kernels_give_the_same_bits(tmp_path: Path) -> None:
+    """With fast mathematics the process that compiled gave other last digits than those that loaded its cache."""
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", FRESH_AND_CACHED], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, capture_output=True, text=True, check=True
+        ).stdout
+        for _ in range(2)
+    ]
+    assert runs[0] == runs[1]

@@ -30,10 +30,12 @@ def shot(scene: str, rig: str, size=SIZE, samples=2) -> tuple[Shot, Rectificatio
     return render(scene_named(scene), r, samples=samples), rectification(r)
 
 
-def plates(made: Shot, rectified: Rectification) -> tuple[np.ndarray, np.ndarray]:
-    """As from files: 8 bits of sRGB's curve, mirrored as recorded, then upright."""
+def plates(made: Shot, rectified: Rectification, *, quantised: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """As from files: 8 bits of sRGB's curve (or none at all), mirrored as recorded, then upright."""
 
     def filed(picture: np.ndarray) -> np.ndarray:
+        if not quantised:
+            return picture
         code = (
             np.rint(np.clip(np.where(picture <= 0.0031308, 12.92 * picture, 1.055 * np.maximum(picture, 0) ** (1 / 2.4) - 0.055), 0, 1) * 255) / 255
         )
@@ -224,13 +226,19 @@ def test_normals_of_disparity_beat_opencv_alone(real) -> None:
 
 @pytest.mark.slow
 def test_a_hard_rig_costs_less_than_a_quarter() -> None:
-    """Toed in, distorted, unequal, offset and mirrored, against a perfect rig, on the original plate."""
+    """Toed in, distorted, unequal, offset and mirrored, against a perfect rig, on the original plate.
+
+    From plates without a last bit of noise the perfect rig, which resamples nothing, gains more than the hard one: there a
+    quarter is not reached (docs/figures.md), and the bound only keeps what is.
+    """
     medians = {}
     for name in ("parallel", "hard"):
         made, rectified = shot("bust", name, size=(640, 360), samples=3)
-        got = recover(*plates(made, rectified), rectified).frame
         seen = made.left["flags"] == 0
-        assert np.isfinite(got["Z"]).all()
-        medians[name] = np.median(np.abs(got["Z"] - made.left["Z"])[seen])
-    assert medians["parallel"] < 0.004
-    assert medians["hard"] <= 1.25 * medians["parallel"]
+        for quantised in (True, False):
+            got = recover(*plates(made, rectified, quantised=quantised), rectified).frame
+            assert np.isfinite(got["Z"]).all()
+            medians[name, quantised] = np.median(np.abs(got["Z"] - made.left["Z"])[seen])
+    assert medians["parallel", True] < 0.0025
+    assert medians["hard", True] <= 1.25 * medians["parallel", True]
+    assert medians["hard", False] <= 1.5 * medians["parallel", False]

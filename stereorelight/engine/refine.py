@@ -20,10 +20,11 @@ Planes = tuple[Float32, Float32, Float32]  # value, slope along x, slope along y
 f4 = np.float32
 ROUND = 1.27  # of the radius, squared: a window as large as its square's inner disc and a little more, alike in all directions
 BLOCK = 512  # pixels of a row worked on at a time: eleven float32 strips of this length stay in the first-level cache
-FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: missing values must stay testable
+# No fast mathematics: the loops are elementwise and need none to become vectors, and with it numba's disk cache has been
+# seen to give other last digits than the compilation that filled it.
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _weigh(z, q, t, c0, a, b, n, dx, dy, inv_tau2, w, wd):
     """Weight w, and weight times difference wd, of the neighbours (dx, dy) of a strip of pixels."""
     for i in range(n):
@@ -36,7 +37,7 @@ def _weigh(z, q, t, c0, a, b, n, dx, dy, inv_tau2, w, wd):
         wd[i] = k * (t[i] - c0[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_weights(w, n, dx, S, SX, SXX):
     for i in range(n):
         S[i] += w[i]
@@ -44,14 +45,14 @@ def _add_weights(w, n, dx, S, SX, SXX):
         SXX[i] += w[i] * (dx * dx)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_values(wd, n, dx, SZ, SZX):
     for i in range(n):
         SZ[i] += wd[i]
         SZX[i] += wd[i] * dx
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_row(dy, n, R, RX, RXX, S, SX, SXX):
     for i in range(n):
         S[i] += R[i]
@@ -59,7 +60,7 @@ def _add_row(dy, n, R, RX, RXX, S, SX, SXX):
         SXX[i] += RXX[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_row_y(dy, n, R, RX, SY, SXY, SYY):
     for i in range(n):
         SY[i] += R[i] * dy
@@ -67,7 +68,7 @@ def _add_row_y(dy, n, R, RX, SY, SXY, SYY):
         SYY[i] += R[i] * (dy * dy)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_row_z(dy, n, RZ, RZX, SZ, SZX, SZY):
     for i in range(n):
         SZ[i] += RZ[i]
@@ -75,7 +76,7 @@ def _add_row_z(dy, n, RZ, RZX, SZ, SZX, SZY):
         SZY[i] += RZ[i] * dy
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _solve(c0, a, b, x0, n, ridge, S, SX, SY, SXX, SXY, SYY, SZ, SZX, SZY, value, slope_x, slope_y):
     for i in range(n):
         s = S[i]
@@ -91,7 +92,7 @@ def _solve(c0, a, b, x0, n, ridge, S, SX, SY, SXX, SXY, SYY, SZ, SZX, SZY, value
         slope_y[x0 + i] = q if enough else b[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _planes(first, end, z, q, t, value, slope_x, slope_y, radius, stride, inv_tau2, ridge, out_value, out_x, out_y):
     H, W = z.shape
     T = np.empty((16, BLOCK), np.float32)
@@ -178,7 +179,7 @@ def robust_planes(
     return value, slope_x, slope_y
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _gather(v, a, b, here, n, dx, dy, weight, inv_tau2, S, SV, SA, SB):
     """Add what the planes of the pixels at (dx, dy) say at a strip of pixels."""
     for i in range(n):
@@ -193,7 +194,7 @@ def _gather(v, a, b, here, n, dx, dy, weight, inv_tau2, S, SV, SA, SB):
         SB[i] += w * b[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _divide(S, SV, SA, SB, n, value, slope_x, slope_y):
     for i in range(n):
         inv = f4(1) / S[i]
@@ -202,7 +203,7 @@ def _divide(S, SV, SA, SB, n, value, slope_x, slope_y):
         slope_y[i] = SB[i] * inv
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _blend(first, end, value, slope_x, slope_y, inv_tau2, out_value, out_x, out_y):
     H, W = value.shape
     T = np.empty((4, W), np.float32)
