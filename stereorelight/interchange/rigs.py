@@ -81,7 +81,7 @@ def read_rig(path: str | Path) -> Rig:
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise RigError(f"{path}: rig file missing; give its path, or write one as calib/README.md shows") from None
+        raise RigError(f"{path}: rig file missing; give its path by --rig or in the shot file, or write one as calib/README.md shows") from None
     except OSError as error:
         raise RigError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from None
     except json.JSONDecodeError as error:
