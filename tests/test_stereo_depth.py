@@ -88,10 +88,10 @@ def test_unseen_ground_is_flagged_as_a_guess_from_behind(card) -> None:
     hidden = (made.left["flags"] & Flag.OCCLUDED) != 0
     flags = got["flags"]
     assert hidden.sum() > 100
-    assert ((flags[hidden] & (Flag.OCCLUDED | Flag.UNMATCHED | Flag.OUT_OF_VIEW)) != 0).mean() > 0.75
-    assert ((flags[hidden] & Flag.FILLED) != 0).mean() > 0.75
+    assert ((flags[hidden] & (Flag.OCCLUDED | Flag.UNMATCHED | Flag.OUT_OF_VIEW)) != 0).mean() > 0.8
+    assert ((flags[hidden] & Flag.FILLED) != 0).mean() > 0.8
     assert np.median(disparity_error(made, got["Z"])[hidden]) < 0.5
-    assert got["confidence"][hidden].mean() < got["confidence"][~hidden].mean() - 0.15
+    assert got["confidence"][hidden].mean() < got["confidence"][~hidden].mean() - 0.2
     bare = recover(*plates(made, rectified), rectified, settings=DepthSettings(fill=False)).frame["Z"]
     assert np.array_equal(np.isnan(bare), (flags & Flag.FILLED) != 0)
 
@@ -198,7 +198,7 @@ def test_motorcycle_confidence_tells_the_truth(real) -> None:
         inside = (sure >= low) & (sure < low + 0.1)
         if inside.mean() > 0.01:
             assert abs(sure[inside].mean() - right[inside].mean()) < 0.15, low
-    assert sure[right].mean() > sure[~right].mean() + 0.15
+    assert sure[right].mean() > sure[~right].mean() + 0.19
 
 
 def test_motorcycle_at_another_exposure_and_colour() -> None:
