@@ -1,0 +1,1 @@
+"""Movies to arrays and back; the only home of av."""
