@@ -125,7 +125,7 @@ def _room(texture: float) -> tuple[Object, ...]:
     return tuple(things)
 
 
-def _lights(frame: int, motion: bool) -> tuple[Light, ...]:
+def _lights(frame: float, motion: bool) -> tuple[Light, ...]:
     sweep = 0.35 * math.sin(2 * math.pi * frame / SWING_FRAMES) if motion else 0.0
     return (
         Light(name="key", type="point", position_m=(-0.75 + sweep, 0.75, -0.55), color=(1.0, 0.93, 0.84), intensity=1.5),
@@ -143,7 +143,7 @@ def _lights(frame: int, motion: bool) -> tuple[Light, ...]:
     )
 
 
-def bust(*, texture: float = 1.0, face_texture: float | None = None, frame: int = 0, motion: bool = False) -> Scene:
+def bust(*, texture: float = 1.0, face_texture: float | None = None, frame: float = 0, motion: bool = False) -> Scene:
     """The figure in its room.
 
     texture      : scales the grain of every surface; 1 is well textured, 0 flat colour.

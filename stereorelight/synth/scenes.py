@@ -18,29 +18,29 @@ AMBIENT = (0.15, 0.15, 0.15)
 
 
 class Builder(Protocol):
-    """Makes a scene; `frame` counts from 0 and moves things only where `motion` is on."""
+    """Makes a scene; `frame` counts from 0, may lie between frames, and moves things only where `motion` is on."""
 
-    def __call__(self, *, texture: float = 1.0, frame: int = 0, motion: bool = False) -> Scene: ...
+    def __call__(self, *, texture: float = 1.0, frame: float = 0, motion: bool = False) -> Scene: ...
 
 
 def _card(red: float, green: float, blue: float, texture: float, *, frequency: float = 12.0) -> Material:
     return Material(color=(red, green, blue), contrast=0.5 * texture, frequency=frequency, octaves=6, gain=0.7)
 
 
-def plane(*, texture: float = 1.0, frame: int = 0, motion: bool = False) -> Scene:
+def plane(*, texture: float = 1.0, frame: float = 0, motion: bool = False) -> Scene:
     """A wall 2 m away, square to the left camera."""
     wall = Object(name="wall", kind="plane", material=_card(0.5, 0.45, 0.4, texture), origin_m=(0.0, 0.0, -2.0))
     return Scene(name="plane", objects=(wall,), lights=(KEY,), ambient=AMBIENT)
 
 
-def slanted(*, texture: float = 1.0, frame: int = 0, motion: bool = False) -> Scene:
+def slanted(*, texture: float = 1.0, frame: float = 0, motion: bool = False) -> Scene:
     """A wall through (0, 0, -1.5), turned by 35 degrees and leaning back by 15."""
     turned = rotation(x_deg=-15.0, y_deg=35.0)
     wall = Object(name="wall", kind="plane", material=_card(0.5, 0.5, 0.45, texture), origin_m=(0.0, 0.0, -1.5), R_world_object=turned)
     return Scene(name="slanted", objects=(wall,), lights=(KEY,), ambient=AMBIENT)
 
 
-def sphere(*, texture: float = 1.0, frame: int = 0, motion: bool = False) -> Scene:
+def sphere(*, texture: float = 1.0, frame: float = 0, motion: bool = False) -> Scene:
     """A ball of radius 0.25 m at 1.5 m, before a wall at 2.5 m.  In motion it moves right by 5 mm a frame."""
     x = 0.005 * frame if motion else 0.0
     things = (
@@ -50,7 +50,7 @@ def sphere(*, texture: float = 1.0, frame: int = 0, motion: bool = False) -> Sce
     return Scene(name="sphere", objects=things, lights=(KEY,), ambient=AMBIENT)
 
 
-def two_planes(*, texture: float = 1.0, frame: int = 0, motion: bool = False) -> Scene:
+def two_planes(*, texture: float = 1.0, frame: float = 0, motion: bool = False) -> Scene:
     """A card 0.5 m wide and 0.3 m high at 1.2 m, before a wall at 2 m."""
     things = (
         Object(name="wall", kind="plane", material=_card(0.4, 0.42, 0.45, texture), origin_m=(0.0, 0.0, -2.0)),
@@ -59,7 +59,7 @@ def two_planes(*, texture: float = 1.0, frame: int = 0, motion: bool = False) ->
     return Scene(name="two_planes", objects=things, lights=(KEY,), ambient=AMBIENT)
 
 
-def box(*, texture: float = 1.0, frame: int = 0, motion: bool = False) -> Scene:
+def box(*, texture: float = 1.0, frame: float = 0, motion: bool = False) -> Scene:
     """A box of 0.4 x 0.3 x 0.3 m at 1.6 m, turned by 30 degrees, before a wall at 2.5 m."""
     things = (
         Object(name="wall", kind="plane", material=_card(0.4, 0.42, 0.45, texture), origin_m=(0.0, 0.0, -2.5)),
@@ -85,8 +85,8 @@ def scenes() -> Mapping[str, Builder]:
     return _SCENES
 
 
-def scene_named(name: str, *, texture: float = 1.0, frame: int = 0, motion: bool = False) -> Scene:
-    """The scene `name` at `frame`.  Raises ShotError with the nearest known name."""
+def scene_named(name: str, *, texture: float = 1.0, frame: float = 0, motion: bool = False) -> Scene:
+    """The scene `name` at `frame`, which may lie between whole frames.  Raises ShotError with the nearest known name."""
     if name not in _SCENES:
         raise ShotError(f"scene {name!r} is unknown{nearest_hint(name, _SCENES)}")
     if not 0 <= texture <= 2:
