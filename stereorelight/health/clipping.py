@@ -19,7 +19,10 @@ from stereorelight.health.picture import as_plate, on_frame
 
 TOP_WIDTH = 0.02  # a plateau's relative width: two codes of 10-bit LogC near its top, which a codec may spread
 BOTTOM_WIDTH = 0.0005  # the same at the bottom, as a share of the plate's white: a code of 10-bit video near black
-CROWD = 3.0  # times denser than the next levels; the top of a smooth bright ridge reaches 1.4
+EXACT_WIDTH = 5e-4  # the same where nothing was done to the plate since it clipped ...
+EQUAL_SHARE = 0.8  # ... and the share of it that is equal to that width; grain that fell under the level is the rest
+CROWD_EXACT, CROWD_WIDE = 5.0, 3.0  # times denser than the next levels; the top of a smooth bright ridge reaches 2.7
+CALMER = 0.6  # grain left on a plateau that a codec has touched, over that of the calmest blocks elsewhere
 CORE_PX = 3  # a side; nine equal neighbours are no accident of grain
 LEAST_SHARE = 2e-5  # of the plate; a glint of fewer pixels harms nothing and proves no plateau
 CLIPPED_NOTE, CLIPPED_WARN, CLIPPED_BAD = 0.002, 0.02, 0.10  # a lamp in shot; a window; the subject
@@ -59,22 +62,47 @@ def _plateau(channel: Float32, *, end: Literal["top", "bottom"], white: float) -
     extreme = highest if end == "top" else lowest
     if abs(extreme) > 1e37:
         return float("nan"), None
-    width = TOP_WIDTH * abs(extreme) if end == "top" else BOTTOM_WIDTH * white
-    if not width > 0:
-        return float("nan"), None
-    low, high = (extreme - width, 3e38) if end == "top" else (-3e38, extreme + width)
-    beside = (extreme - 3 * width, extreme - width) if end == "top" else (extreme + width, extreme + 3 * width)
-    crowd = cv2.inRange(calm, low, high) // 255
-    next_to = cv2.countNonZero(cv2.inRange(calm, *beside))
-    count = cv2.countNonZero(crowd)
-    # An open end is as wide as `width` on the inside, the band beside it twice as wide.
-    if count < LEAST_SHARE * channel.size or count < CROWD * next_to / 2:
-        return float("nan"), None
-    solid = _solid(crowd)
-    area = cv2.countNonZero(solid)
-    if area < max(LEAST_SHARE * channel.size, CORE_PX**2) or area < count / 4:
-        return float("nan"), None
-    return float(np.median(channel[solid > 0][:10_000])), solid
+    exact, wide = (EXACT_WIDTH * abs(extreme), TOP_WIDTH * abs(extreme)) if end == "top" else (0.2 * BOTTOM_WIDTH * white, BOTTOM_WIDTH * white)
+    for width, crowding, calmer in ((exact, CROWD_EXACT, False), (wide, CROWD_WIDE, True)):
+        if not width > 0:
+            continue
+        low, high = (extreme - width, 3e38) if end == "top" else (-3e38, extreme + width)
+        beside = (extreme - 3 * width, extreme - width) if end == "top" else (extreme + width, extreme + 3 * width)
+        crowd = cv2.inRange(calm, low, high) // 255
+        count = cv2.countNonZero(crowd)
+        # The crowd's end is as wide as `width` on the inside, the band beside it twice as wide.
+        if count < LEAST_SHARE * channel.size or count < crowding * cv2.countNonZero(cv2.inRange(calm, *beside)) / 2:
+            continue
+        solid = _solid(crowd)
+        area = cv2.countNonZero(solid)
+        if area < max(LEAST_SHARE * channel.size, CORE_PX**2) or area < count / 4:
+            continue
+        core = channel[solid > 0][:100_000]
+        level = float(np.median(core))
+        equal = float(np.mean(np.abs(core - level) <= width))  # the median above can make a ridge flat that is none
+        if (calmer and not _calmer(channel, solid)) or (not calmer and equal < EQUAL_SHARE):
+            continue
+        # Grain frays a plateau's rim: pixels at the level beside the solid part belong to it.
+        rim = cv2.dilate(solid, np.ones((5, 5), np.uint8))
+        return level, rim & (cv2.inRange(channel, low, high) // 255)
+    return float("nan"), None
+
+
+def _calmer(channel: Float32, solid: npt.NDArray[np.uint8]) -> bool:
+    """Whether the plateau holds far less grain than the calmest blocks elsewhere: a smooth bright wall keeps its grain."""
+    import cv2
+
+    tap = np.array([1, -2, 1], np.float32) / np.sqrt(np.float32(6))
+    clean = np.nan_to_num(channel, nan=0.0, posinf=0.0, neginf=0.0)
+    power = np.square(cv2.sepFilter2D(clean, cv2.CV_32F, tap, tap)) / np.square(np.maximum(np.abs(cv2.blur(clean, (5, 5))), 1e-9))
+    size = (channel.shape[1] // 8, channel.shape[0] // 8)
+    blocks, share, known = (
+        cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in (power, solid.astype(np.float32), np.isfinite(channel).astype(np.float32))
+    )
+    inside, outside = blocks[share > 0.99], blocks[(share == 0) & (known > 0.99)]
+    if inside.size < 4 or outside.size < 20:
+        return False
+    return bool(np.median(inside) < CALMER**2 * np.quantile(outside, 0.1))
 
 
 def clipped_mask(plate: Float32) -> tuple[Bool, tuple[float, float, float]]:

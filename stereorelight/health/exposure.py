@@ -174,16 +174,16 @@ def _terms(at: Float64) -> Float64:
 def _field(at: Float64, log: Float64, known_cells: Float64) -> tuple[float, float]:
     """(span, its standard error) of the robust quadratic through `log` (n,) at `at`, over `known_cells` (m, 2)."""
     terms = _terms(at)
-    weight = np.ones(len(log))
-    fit = np.zeros(6)
+    weight: Float64 = np.ones(len(log))
+    fit: Float64 = np.zeros(6)
     spread = 0.0
     for _ in range(12):
         normal = (terms * weight[:, None]).T @ terms + 1e-9 * np.eye(6)
-        fit = np.linalg.solve(normal, terms.T @ (weight * log))
+        fit = np.asarray(np.linalg.solve(normal, terms.T @ (weight * log)), dtype=np.float64)
         residual = log - terms @ fit
         spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-7)
         u = residual / (4.685 * spread)
-        weight = np.where(np.abs(u) < 1, (1 - u * u) ** 2, 0)
+        weight = np.asarray(np.where(np.abs(u) < 1, (1 - u * u) ** 2, 0), dtype=np.float64)
     over = _terms(known_cells)
     value = over @ fit
     ends = over[int(np.argmax(value))] - over[int(np.argmin(value))]
