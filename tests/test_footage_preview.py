@@ -71,3 +71,40 @@ def test_before_after_and_sheet() -> None:
     sheet = preview.contact_sheet([("a", a), ("b", b), ("c", a)], width=40)
     assert sheet.dtype == np.uint8
     assert sheet.shape[1] == 2 * 46 + 6
+
+
+def test_an_anaglyph_keeps_greys_and_gives_each_eye_its_own_picture() -> None:
+    grey = np.arange(256, dtype=np.uint8)[None, :, None].repeat(3, axis=2)
+    same = preview.anaglyph(grey, grey)
+    assert np.abs(same.astype(int) - grey).max() <= 1
+    white, black = np.full((4, 4, 3), 255, np.uint8), np.zeros((4, 4, 3), np.uint8)
+    left_only, right_only = preview.anaglyph(white, black)[0, 0].astype(int), preview.anaglyph(black, white)[0, 0].astype(int)
+    assert left_only[0] > 250 > 50 > max(left_only[1:])  # through the red filter the left eye's white, through cyan nothing
+    assert min(right_only[1:]) > 250 > 50 > right_only[0]
+    half = preview.anaglyph(grey, 255 - grey, method="half-colour")
+    assert np.array_equal(half[..., 0], grey[..., 0])
+    assert np.array_equal(half[..., 1:], 255 - grey[..., 1:])
+    # By hand, in linear light: Dubois' first row on a saturated colour of the left eye.
+    orange = np.array([[[255, 128, 0]]], np.uint8)
+    linear = 0.4561 + 0.500484 * ((128 / 255 + 0.055) / 1.055) ** 2.4
+    assert preview.anaglyph(orange, np.zeros_like(orange))[0, 0, 0] == round(255 * (1.055 * linear ** (1 / 2.4) - 0.055))
+    with pytest.raises(PassError, match="one size"):
+        preview.anaglyph(grey, grey[:, :9])
+    with pytest.raises(PassError, match="half-colour"):
+        preview.anaglyph(grey, grey, method="colour")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("size", [(180, 320), (1080, 1920), (40, 60), (9, 16)])
+def test_a_label_stays_in_its_strip(size: tuple[int, int]) -> None:
+    picture = np.full((*size, 3), 120, np.uint8)
+    before = picture.copy()
+    marked = preview.labelled(picture, "shot_010  1001  01:00:00:05")
+    assert np.array_equal(picture, before)
+    changed = np.nonzero((marked != picture).any(axis=(1, 2)))[0]
+    assert changed[0] > size[0] * (0.5 if size[0] < 100 else 0.9)
+    if size[0] >= 180:
+        assert marked[changed[0] :].max() > 200
+        edge = marked[changed[0] :, -2:]
+        assert (edge == 40).all()  # the line ends before the picture does
+    assert np.array_equal(preview.labelled(picture, "  "), picture)
+    assert np.array_equal(preview.labelled(picture, "\u00e9t\u00e9"), preview.labelled(picture, "ete"))

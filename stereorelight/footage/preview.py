@@ -1,4 +1,4 @@
-"""Pictures for people: plates and passes as (H, W, 3) uint8 sRGB, ready for `stills.write_still`.
+"""Pictures for people: plates and passes as (H, W, 3) uint8 sRGB, ready for `stills.write_still` and `movie.writer`.
 
 In: scene-linear plates and layers, Z in metres, P and N in the scene frame.  Missing pixels show as a magenta checker in
 pictures of colour and as dark gray in pictures of data.  Nothing here is meant to be measured."""
@@ -7,20 +7,29 @@ from __future__ import annotations
 
 import functools
 import math
+import unicodedata
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.errors import PassError
-from stereorelight.footage.colour import encode
+from stereorelight.footage.colour import decode, encode
 from stereorelight.passes import Flag
 
 MISSING = (40, 40, 40)
 CHECKER = ((200, 0, 200), (90, 0, 90))
 CHECKER_PX = 8
 KNEE = 0.8  # scene-linear; above it highlights bend towards white instead of clipping
+Anaglyph = Literal["dubois", "half-colour"]
+# Linear light of the red-cyan picture from the left and from the right eye's, by least squares over the spectra of screens and
+# filters: E. Dubois, A projection method to generate anaglyph stereo images, ICASSP 2001.  White and greys stay as they are.
+DUBOIS_LEFT = ((0.4561, 0.500484, 0.176381), (-0.0400822, -0.0378246, -0.0157589), (-0.0152161, -0.0205971, -0.00546856))
+DUBOIS_RIGHT = ((-0.0434706, -0.0879388, -0.00155529), (0.378476, 0.73364, -0.0184503), (-0.0721527, -0.112961, 1.2264))
+LUMA = (0.2126, 0.7152, 0.0722)  # Rec.709
+ENCODE_STEPS = 1 << 14  # of linear light: an sRGB code near black is five of them
 FLAG_COLOURS = {
     Flag.BAD_PLATE: (230, 0, 230),
     Flag.OUT_OF_VIEW: (60, 110, 230),
@@ -145,6 +154,57 @@ def before_after(before: UInt8, after: UInt8, *, wipe: float | None = None) -> U
     picture = np.concatenate([before[:, :at], after[:, at:]], axis=1)
     picture[:, max(at - line // 2, 0) : at - line // 2 + line] = 255
     return picture
+
+
+@functools.lru_cache(maxsize=1)
+def _srgb_tables() -> tuple[Float32, UInt8]:
+    """Linear light of the 256 sRGB codes, and the sRGB code of ENCODE_STEPS + 1 even steps of it."""
+    return decode(np.arange(256) / 255, "sRGB"), _u8(encode(np.arange(ENCODE_STEPS + 1) / ENCODE_STEPS, "sRGB"))
+
+
+def anaglyph(left: UInt8, right: UInt8, *, method: Anaglyph = "dubois") -> UInt8:
+    """Both eyes' (H, W, 3) sRGB pictures as one for red-cyan glasses, red on the left eye.
+
+    method : "dubois", colours by least squares with the least ghosting, or "half-colour", the left eye's luma in red and the
+             right eye's own green and blue, which other programs know under that name.
+    Rows of the two should agree: take rectified pictures.
+    Raises : PassError for pictures of two sizes or an unknown method.
+    """
+    if left.shape != right.shape:
+        raise PassError(f"left and right must have one size for an anaglyph, got {left.shape} and {right.shape}")
+    if method == "half-colour":
+        luma = left.astype(np.float32) @ np.array(LUMA, np.float32)
+        return np.dstack([np.rint(luma).astype(np.uint8), right[..., 1:]])
+    if method != "dubois":
+        raise PassError(f"anaglyph method {method!r} is unknown; take 'dubois' or 'half-colour'")
+    linear, codes = _srgb_tables()
+    mixed = linear[left] @ np.array(DUBOIS_LEFT, np.float32).T + linear[right] @ np.array(DUBOIS_RIGHT, np.float32).T
+    return codes[np.rint(np.clip(mixed, 0, 1) * ENCODE_STEPS).astype(np.int32)]
+
+
+def labelled(picture: UInt8, text: str) -> UInt8:
+    """A copy of `picture` with a line of text burnt in at the lower left: shot, frame and time code of a review movie.
+
+    The letters are as high as a thirtieth of the picture, or smaller where the line would not fit, on a darkened strip;
+    the picture above the strip is left as it is.  Letters outside ASCII lose their accents or become "?".
+    """
+    import cv2
+
+    plain = unicodedata.normalize("NFKD", text)
+    plain = "".join(c if c.isascii() else "?" for c in plain if not unicodedata.combining(c))
+    made: UInt8 = np.ascontiguousarray(picture).copy()
+    if not plain.strip():
+        return made
+    h, w = made.shape[:2]
+    font, margin = cv2.FONT_HERSHEY_SIMPLEX, max(2, h // 90)
+    (text_w, text_h), _ = cv2.getTextSize(plain, font, 1.0, 2)
+    scale = min(h / 30 / text_h, (w - 2 * margin) / text_w)
+    thick = max(1, round(2 * scale))
+    (text_w, text_h), under = cv2.getTextSize(plain, font, scale, thick)
+    top = max(0, h - text_h - under - 2 * margin)
+    made[top:] = made[top:] // 3
+    cv2.putText(made, plain, (margin, h - under - margin), font, scale, (235, 235, 235), thick, cv2.LINE_AA)
+    return made
 
 
 def contact_sheet(pictures: Sequence[tuple[str, UInt8]], *, columns: int | None = None, width: int = 480) -> UInt8:
