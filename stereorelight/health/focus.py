@@ -16,12 +16,12 @@ from stereorelight.arrays import Bool, Float32, Float64
 from stereorelight.errors import PassError
 from stereorelight.health.clipping import clipped_mask
 from stereorelight.health.finding import Finding, Level
-from stereorelight.health.grain import grain
+from stereorelight.health.grain import Grain, grain
 from stereorelight.health.picture import GREY, as_plate, grey, on_frame
 
 TILE_PX = 64
 MAP_CELLS = (3, 4)  # rows, columns
-MOST_TILES = 480
+MOST_TILES = 300
 LEAST_TILES = 12
 CELL_TILES = 6
 OVER_GRAIN = 3.0  # a band of the spectrum is read where both eyes' signal stands so many times over their grain
@@ -128,23 +128,32 @@ def _slope(left: Float64, right: Float64, left_noise: Float64, right_noise: Floa
     return value
 
 
-def _prepared(plate: Float32) -> tuple[Float32, Bool, Float64, Float64]:
+def _prepared(plate: Float32, measured: Grain | None) -> tuple[Float32, Bool, Float64, Float64]:
     """Grey, usable pixels, and grain's variance of grey: (floor, shot) each summed over the channels' weights."""
     clipped, _ = clipped_mask(plate)
     good: Bool = np.asarray(np.isfinite(plate).all(axis=2)) & ~clipped
     light = np.where(good, grey(plate), np.float32(0)).astype(np.float32)
-    found = grain(plate)
+    found = grain(plate) if measured is None else measured
     # Texture that is everywhere passes for grain below what the finest band holds: the caller caps it there.
     weight = np.square(np.array(GREY))
     return light, good, np.array(float(weight @ found.floor)), np.array(float(weight @ found.shot))
 
 
-def focus_difference(left: Float32, right: Float32, *, points_left: Float64 | None = None, points_right: Float64 | None = None) -> FocusDifference:
+def focus_difference(
+    left: Float32,
+    right: Float32,
+    *,
+    points_left: Float64 | None = None,
+    points_right: Float64 | None = None,
+    left_grain: Grain | None = None,
+    right_grain: Grain | None = None,
+) -> FocusDifference:
     """How much softer the right eye is than the left.
 
     left, right : (H, W, 3) scene-linear.
     points_left, points_right : (n, 2) pixels (x, y) of the same surface points; without them tiles at the same place are
                   compared, whose content is nearly the same as a whole but not tile by tile.
+    left_grain, right_grain : of each plate, where it was measured already (half the time).
     Raises      : PassError where fewer than 12 pairs of tiles of 64 px are known, unclipped and textured.
     """
     left, right = as_plate(left, "left plate"), as_plate(right, "right plate")
@@ -160,8 +169,8 @@ def focus_difference(left: Float32, right: Float32, *, points_left: Float64 | No
         chosen = np.linspace(0, len(at_left) - 1, 2 * MOST_TILES).round().astype(int)
         at_left, at_right = at_left[chosen], at_right[chosen]
     spectra, noises, usable = [], [], np.ones(len(at_left), dtype=bool)
-    for plate, at in ((left, at_left), (right, at_right)):
-        light, good, floor, shot = _prepared(plate)
+    for plate, at, measured in ((left, at_left, left_grain), (right, at_right, right_grain)):
+        light, good, floor, shot = _prepared(plate, measured)
         tiles, whole = _tiles(light, good, at)
         usable &= whole
         power = _spectra(tiles)

@@ -23,9 +23,9 @@ SAME_RATIO = 0.25  # a repeat's step over the steps beside it
 GOES_ON = 0.8  # motion over the three steps about a repeat, over one step: less is a swing that turns round
 LEAST_STEP = 1e-3  # of the tone range, rms over the thumbnail: the least that is called motion
 LONGEST_NEAR_REPEAT = 3  # frames; longer stillness with fresh grain is a pause, not a fault
-DROP_SLOPE = (1.6, 6.0)  # motion of a step over that of the steps beside it: one frame lost doubles it
+DROP_SLOPE = (1.75, 6.0)  # motion of a step over that of the steps beside it: one frame lost doubles it
 ALIKE = 0.7  # correlation of the flow beside and across a lost frame
-STEADY = 1.5  # flow before over flow after: more is an acceleration of its own
+STEADY = 1.3  # flow before over flow after: more is an acceleration of its own
 LEAST_MOTION = 0.12  # px of the thumbnail, rms
 STRANGE = 0.06  # of the tone range, that a pixel leaves both its neighbours by
 STRANGE_SHARE = 0.01  # of the frame ...
@@ -175,6 +175,30 @@ def dropped_frames(shot: Signed) -> list[tuple[int, float]]:
     return found
 
 
+def _strange_share(before: Float32, here: Float32, after: Float32) -> float:
+    """Share of `here` that neither neighbour explains once the camera's own movement is taken out.
+
+    A camera that shakes shows a picture twice with another between: each neighbour is moved by the median flow, and a pixel
+    is strange only when it leaves the range of a pixel's neighbourhood there.
+    """
+    import cv2
+
+    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    dis.setFinestScale(0)
+    codes = [flow_proxy(np.square(t), white=1.0, size=THUMBNAIL) for t in (before, here, after)]
+    box = np.ones((3, 3), np.uint8)
+    moved, beyond = [], []
+    for other, code in ((before, codes[0]), (after, codes[2])):
+        dx, dy = np.median(dis.calc(codes[1], code, None).reshape(-1, 2), axis=0)
+        M = np.array([[1, 0, dx], [0, 1, dy]], np.float32)
+        there = cv2.warpAffine(other, M, THUMBNAIL, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE)
+        moved.append(there)
+        beyond.append(np.maximum(np.maximum(here - cv2.dilate(there, box), cv2.erode(there, box) - here), 0))
+    apart = np.minimum(beyond[0], beyond[1]) - np.abs(moved[1] - moved[0])
+    edge = 8  # px that a shake brings in at the border
+    return float((apart > STRANGE)[edge:-edge, edge:-edge].mean())
+
+
 def corrupt_frames(shot: Signed) -> list[tuple[int, str]]:
     """(position, what is wrong): not finite, blank blocks, black, flash, or strange against neighbours that agree."""
     tones = _tones(shot)
@@ -202,7 +226,9 @@ def corrupt_frames(shot: Signed) -> list[tuple[int, str]]:
         around = [strange[k] for k in range(max(1, n - 4), min(count - 1, n + 5)) if k != n]
         usual = float(np.median(around)) if around else 0.0
         if n not in found and strange[n] > max(STRANGE_SHARE, STRANGE_TIMES * usual):
-            found[n] = f"{strange[n]:.1%} of it belongs to neither neighbour"
+            share = _strange_share(tones[n - 1], tones[n], tones[n + 1])
+            if share > STRANGE_SHARE:
+                found[n] = f"{share:.1%} of it belongs to neither neighbour"
     return sorted(found.items())
 
 
