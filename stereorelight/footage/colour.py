@@ -100,16 +100,21 @@ def config_source(settings: ColourSettings) -> str:
     return source
 
 
-def _config(settings: ColourSettings) -> Any:
+def _key(settings: ColourSettings) -> tuple[str, tuple[int, int]]:
+    """What tells one state of the config from another: its address, and a file's time and size.  Raises ShotError."""
     source = config_source(settings)
     if not source or source.startswith("ocio://"):
-        return _loaded(source, (0, 0))
+        return source, (0, 0)
     path = Path(source)
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "there is no such file"
         raise ShotError(f"{source}: {what}; give an OpenColorIO config, config.ocio or .ocioz, or leave it out for the studio config")
     stat = path.stat()
-    return _loaded(source, (stat.st_mtime_ns, stat.st_size))
+    return source, (stat.st_mtime_ns, stat.st_size)
+
+
+def _config(settings: ColourSettings) -> Any:
+    return _loaded(*_key(settings))
 
 
 def _place(settings: ColourSettings) -> str:
@@ -201,7 +206,7 @@ def _wrapped(make: Callable[[], Any], what: str, settings: ColourSettings) -> An
 
 
 @functools.lru_cache(maxsize=64)
-def _processor(source: str, target: str, settings: ColourSettings, _stamp: int) -> Any:
+def _processor(source: str, target: str, settings: ColourSettings, _state: object) -> Any:
     (a, name_a), (b, name_b) = _located(source, settings), _located(target, settings)
     both = _ocio().Config.GetProcessorFromConfigs
     return _wrapped(lambda: a.getProcessor(name_a, name_b) if a is b else both(a, name_a, b, name_b), f"{source} to {target}", settings)
@@ -209,7 +214,7 @@ def _processor(source: str, target: str, settings: ColourSettings, _stamp: int) 
 
 def _between(source: str, target: str, settings: ColourSettings) -> Any:
     """The lossless processor; kept for as long as the config is the same one."""
-    return _processor(source, target, settings, id(_config(settings)))
+    return _processor(source, target, settings, _key(settings))
 
 
 def _applied(processor: Any, picture: Float32) -> Float32:
@@ -279,7 +284,9 @@ def checked_display(settings: ColourSettings) -> tuple[str, str]:
     config = _config(settings)
     displays = list(config.getDisplays())
     display = settings.display or config.getDefaultDisplay()
-    found = next((d for d in displays if plain(d) == plain(display)), None) or next((d for d in displays if plain(d) == plain(display) + "display"), None)
+    found = next((d for d in displays if plain(d) == plain(display)), None) or next(
+        (d for d in displays if plain(d) == plain(display) + "display"), None
+    )
     if found is None:
         raise ShotError(f"display {display!r} is unknown{hint(display, displays, place=_place(settings))}")
     views = list(config.getViews(found))
@@ -392,11 +399,11 @@ def transfer_table(space: str, settings: ColourSettings = DEFAULT) -> TransferTa
 
     Error: 1e-5 of the pixel's largest channel or of 1e-3, by interpolation in full precision.  Raises ShotError.
     """
-    return _table(checked_space(space, settings), settings, id(_config(settings)) if settings.config else 0)
+    return _table(checked_space(space, settings), settings, _key(settings))
 
 
 @functools.lru_cache(maxsize=16)
-def _table(name: str, settings: ColourSettings, _stamp: int) -> TransferTable | None:
+def _table(name: str, settings: ColourSettings, _state: object) -> TransferTable | None:
     if name == "linear":
         return None
 

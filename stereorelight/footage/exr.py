@@ -13,6 +13,7 @@ import io
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +34,18 @@ STANDARD = frozenset(("channels", "chunkCount", "compression", "dataWindow", "di
 STANDARD |= {"pixelAspectRatio", "screenWindowCenter", "screenWindowWidth", "tiles", "type", "version", "view"}
 
 
+# What is no text and yet written: eight floats, a Fraction, and "hh:mm:ss:ff" (";" before the frame for drop frame).
+ATTRIBUTES = ("chromaticities", "framesPerSecond", "timeCode")
+TIMECODE = re.compile(r"(\d\d):([0-5]\d):([0-5]\d)([:;.])(\d\d)")
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExrPart:
     """One part, or one view of a part, of an EXR file.
 
     name, view : as in the file; None where it has none.
     channels   : full channel name to (H, W) float32 of the display window's size; 0 where the file has no pixels.
-    header     : every attribute by name; the words among them are written back by `write_exr_parts`.
+    header     : every attribute by name; its words and ATTRIBUTES are written back by `write_exr_parts`.
     offset     : (x, y) of the file's data window inside the display window, pixels.
     """
 
@@ -58,6 +64,19 @@ class ExrPart:
     def metadata(self) -> dict[str, str]:
         """The header's words: attributes that are text and not part of the format."""
         return {k: v for k, v in self.header.items() if isinstance(v, str) and k not in STANDARD}
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What `write_exr` takes as attributes: the header's chromaticities, framesPerSecond and timeCode, where it has them."""
+        found: dict[str, Any] = {}
+        primaries, rate, code = (self.header.get(key) for key in ATTRIBUTES)
+        if isinstance(primaries, tuple) and len(primaries) == 8:
+            found["chromaticities"] = tuple(float(x) for x in primaries)
+        if isinstance(rate, Fraction) and rate > 0:
+            found["framesPerSecond"] = rate
+        if hasattr(code, "dropFrame") and code.hours < 24 and code.frame < 40:
+            found["timeCode"] = f"{code.hours:02d}:{code.minutes:02d}:{code.seconds:02d}{';' if code.dropFrame else ':'}{code.frame:02d}"
+        return found
 
 
 def _window(header: Mapping[str, Any], which: str) -> tuple[int, int, int, int]:
@@ -222,6 +241,7 @@ def write_exr(
     *,
     half: Collection[str] = (),
     metadata: Mapping[str, str] | None = None,
+    attributes: Mapping[str, Any] | None = None,
     view: str | None = None,
     views: Sequence[str] = (),
     force: bool = False,
@@ -230,14 +250,36 @@ def write_exr(
 
     channels : full name to (H, W) numbers of any strides and type; they are copied, never changed.
     half     : channels to store as half; finite values beyond 65504 become 65504, never inf.
+    attributes : those of ATTRIBUTES, as `ExrPart.attributes` gives them.
     view     : the eye that the file shows; views: all of them, first the default one, where the others' channels are
                named "right.R".  Never both.
     Raises   : PassError for a name or shape that no EXR can hold; OutputError when the file exists or cannot be written.
     """
     if view and views:
         raise PassError("view and views say the same thing twice; give one")
-    part = ExrPart(channels=channels, view=view, header=dict(metadata or {}))
+    part = ExrPart(channels=channels, view=view, header=dict(metadata or {}) | _coded(attributes or {}))
     return _write(path, [part], half=half, views=views, force=force)
+
+
+def _coded(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """ATTRIBUTES as the library takes them.  Raises PassError."""
+    import OpenEXR
+
+    out: dict[str, Any] = {}
+    for key, value in attributes.items():
+        if key == "chromaticities" and len(value) == 8:
+            out[key] = tuple(float(x) for x in value)  # it takes nothing but a tuple
+        elif key == "framesPerSecond" and value > 0 and max(Fraction(value).as_integer_ratio()) < 2**31:
+            out[key] = Fraction(value)  # it reads its own Rational, but writes only this
+        elif key == "timeCode" and (parts := TIMECODE.fullmatch(str(value))) and int(parts[1]) < 24 and int(parts[5]) < 40:
+            code = OpenEXR.TimeCode()
+            code.hours, code.minutes, code.seconds, code.frame = (int(parts[i]) for i in (1, 2, 3, 5))
+            code.dropFrame = int(parts[4] != ":")
+            out[key] = code
+        else:
+            more = "; the format counts 40 frames a second at most" if key == "timeCode" else ""
+            raise PassError(f"attribute {key!r} cannot be {value!r} in an EXR{more}; known: {', '.join(ATTRIBUTES)}")
+    return out
 
 
 def write_exr_parts(path: str | Path, parts: Sequence[ExrPart], *, half: Collection[str] = (), force: bool = False) -> Path:
@@ -261,6 +303,7 @@ def _write(path: str | Path, parts: Sequence[ExrPart], *, half: Collection[str],
             if not key or len(key) > 255 or "\0" in key + text:
                 raise PassError(f"metadata {key!r} must be a word with a text without NUL")
             header[key] = text
+        header |= _coded(part.attributes)
         if part.view:
             header["view"] = part.view
         if views:

@@ -2,12 +2,15 @@
 
 Layers: Z; P.X P.Y P.Z; N.X N.Y N.Z; disparity.X; confidence.Y; flags.Y (the reason bits as float); flow.X flow.Y; beauty as
 bare R G B; plate.R ..; light_<name>_diffuse.R ..; matte_<name>.Y.  Data is 32-bit float, colour half.  Z in metres along
-the optical axis; P and N in the scene frame (x right, y up, the camera looks down -z), as the header says too."""
+the optical axis; P and N in the scene frame (x right, y up, the camera looks down -z), as the header says too.
+Colour is scene-linear in the working space, which the header names with its primaries; a file of another one is converted when
+read.  Time code and rate are the header's `timeCode` and `framesPerSecond`, and `metadata["timecode"]` and `["rate"]` of a Frame."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +20,15 @@ import numpy.typing as npt
 from stereorelight.arrays import Float32
 from stereorelight.camera import Camera, Eye
 from stereorelight.errors import PassError, PlateError, RigError, nearest_hint
-from stereorelight.footage.exr import STANDARD, ExrPart, find_channel, parts_of_view, read_exr, write_exr
+from stereorelight.footage.colour import DEFAULT, ColourSettings
+from stereorelight.footage.exr import STANDARD, TIMECODE, ExrPart, find_channel, parts_of_view, read_exr, write_exr
+from stereorelight.footage.file_colour import INTEROP_WORD, header_words, stated_to_working
 from stereorelight.passes import UNIT_TOLERANCE, Frame, role_of
 
 AXES = "scene frame of the camera: x right, y up, camera looks down -z; metres"
 OURS = "stereorelight/"  # header words of ours begin with it
-WORKING_SPACE = "linear Rec.709"
+TIMECODE_KEY, RATE_KEY = "timecode", "rate"  # of Frame.metadata
+EXR_FRAMES = 40  # the header's time code counts frames of a second up to here; beyond, it is kept as a word
 LETTERS = {"Z": "", "disparity": "X", "P": "XYZ", "N": "XYZ", "flow": "XY"}
 DEPTH_LAYERS, DEPTH_LETTERS = ("depth", "z"), ("Z", "V", "R", "Y", "X")  # how renderers call a Z pass
 BACKGROUND_M = 1e9  # renderers write 1e10 and the like where nothing is
@@ -60,11 +66,40 @@ def camera_from_text(text: str) -> Camera:
         raise RigError(f"the header's camera cannot be read ({error}); write the file again") from None
 
 
-def write_frame(path: str | Path, frame: Frame, *, half: bool = True, force: bool = False) -> Path:
+def _time(frame: Frame, timecode: str | None, rate: Fraction | None) -> tuple[dict[str, str], dict[str, Any]]:
+    """Words and attributes for time code and rate, as told or as the frame's own metadata has them."""
+    words, attributes = {}, dict[str, Any]()
+    code, told = timecode or frame.metadata.get(TIMECODE_KEY), rate or frame.metadata.get(RATE_KEY)
+    if code:
+        parts = TIMECODE.fullmatch(code)
+        if parts and int(parts[5]) < EXR_FRAMES:
+            attributes["timeCode"] = code
+        else:
+            words[f"{OURS}timecode"] = code
+    if told:
+        try:
+            attributes["framesPerSecond"] = Fraction(told)
+        except (ValueError, ZeroDivisionError):
+            raise PassError(f"metadata {RATE_KEY!r} must be a rate such as '24000/1001', got {told!r}") from None
+    return words, attributes
+
+
+def write_frame(
+    path: str | Path,
+    frame: Frame,
+    *,
+    half: bool = True,
+    force: bool = False,
+    colour: ColourSettings | None = None,
+    timecode: str | None = None,
+    rate: Fraction | None = None,
+) -> Path:
     """Write every pass of `frame`, its camera, eye, number and words; `read_frame` returns them bit for bit.
 
-    half   : store colour as half; False keeps 32-bit float.  Data passes are always 32-bit float.
-    Raises : OutputError when the file exists or cannot be written; PassError for a name that no layer can have.
+    half     : store colour as half; False keeps 32-bit float.  Data passes are always 32-bit float.
+    colour   : names the working space that colour passes are in.
+    timecode : "hh:mm:ss:ff" or "hh:mm:ss;ff", and rate in frames a second; the frame's own metadata where not given.
+    Raises   : OutputError when the file exists or cannot be written; PassError for a name that no layer can have.
     """
     channels: dict[str, Array] = {}
     halves: set[str] = set()
@@ -74,7 +109,9 @@ def write_frame(path: str | Path, frame: Frame, *, half: bool = True, force: boo
         channels |= {channel: planes[..., i] for i, channel in enumerate(names)}
         if half and role_of(name).colour:
             halves.update(names)
-    words = {f"{OURS}axes": AXES, f"{OURS}eye": frame.eye, f"{OURS}working_space": WORKING_SPACE}
+    space_words, primaries = header_words(colour or DEFAULT)
+    time_words, times = _time(frame, timecode, rate)
+    words = {f"{OURS}axes": AXES, f"{OURS}eye": frame.eye, **space_words, **time_words}
     if frame.camera is not None:
         words[f"{OURS}camera"] = camera_text(frame.camera)
     if frame.number is not None:
@@ -82,8 +119,9 @@ def write_frame(path: str | Path, frame: Frame, *, half: bool = True, force: boo
     for key, text in frame.metadata.items():
         if key in STANDARD:
             raise PassError(f"metadata {key!r} is an attribute of the EXR format itself; give it another name")
-        words[key] = text
-    return write_exr(path, channels, half=halves, metadata=words, view=frame.eye, force=force)
+        if key not in (TIMECODE_KEY, RATE_KEY, INTEROP_WORD):  # a source's colorInteropID speaks of its own space, not of ours
+            words[key] = text
+    return write_exr(path, channels, half=halves, metadata=words, attributes=primaries | times, view=frame.eye, force=force)
 
 
 def _found(parts: list[ExrPart], names: tuple[str, ...]) -> tuple[str, ...] | None:
@@ -130,12 +168,13 @@ def _cleaned(name: str, a: Float32) -> Array:
     return np.ascontiguousarray(a, dtype=np.float32)
 
 
-def read_frame(path: str | Path, *, layers: Mapping[str, str] | None = None, view: str | None = None) -> Frame:
+def read_frame(path: str | Path, *, layers: Mapping[str, str] | None = None, view: str | None = None, colour: ColourSettings | None = None) -> Frame:
     """The passes of an EXR: those of `write_frame` bit for bit, or a renderer's Z and picture.
 
     layers : pass to the file's own channel or layer name, such as {"Z": "depth.V", "N": "normals"}; without it Z is also
              found as depth.Z, Depth.R, ViewLayer.Depth.V and their like.  P and N must be in the scene frame of the camera.
-    Returns: a Frame; layers that are no pass are named in `metadata["ignored_layers"]`.
+    colour : the working space that colour passes come in; files that state another space or other primaries are converted.
+    Returns: a Frame; time code and rate are in its metadata; layers that are no pass are named in `metadata["ignored_layers"]`.
     Raises : PlateError when the file cannot be read, holds no pass, or a pass is not what its name says.
     """
     path = Path(path)
@@ -163,15 +202,23 @@ def read_frame(path: str | Path, *, layers: Mapping[str, str] | None = None, vie
     used = {channel for names in wanted.values() for channel in names}
     ignored = list(dict.fromkeys(name.rpartition(".")[0] or name for name in all_channels if name not in used))
     words = {k: v for k, v in own_words.items() if not k.startswith(OURS)}
+    attributes = {k: v for part in reversed(parts) for k, v in part.attributes.items()}
+    if code := attributes.get("timeCode", own_words.get(f"{OURS}timecode")):
+        words[TIMECODE_KEY] = code
+    if "framesPerSecond" in attributes:
+        words[RATE_KEY] = str(attributes["framesPerSecond"])
     if ignored:
         words["ignored_layers"] = ", ".join(ignored)
     eye: Eye = "right" if own_words.get(f"{OURS}eye", parts[0].view) == "right" else "left"
     number = own_words.get(f"{OURS}frame", "")
+    header = {k: v for part in reversed(parts) for k, v in part.header.items()}
     try:
         passes = {}
         for name, names in wanted.items():
             planes = [plane for channel in names if (plane := find_channel(parts, channel)) is not None]
             passes[name] = _cleaned(name, planes[0] if len(planes) == 1 else np.stack(planes, axis=-1))
+            if role_of(name).colour:
+                passes[name] = stated_to_working(np.ascontiguousarray(passes[name]), header, path, colour or DEFAULT)
         camera = camera_from_text(own_words[f"{OURS}camera"]) if f"{OURS}camera" in own_words else None
         return Frame(passes=passes, camera=camera, eye=eye, number=int(number) if number.lstrip("-").isdigit() else None, metadata=words)
     except (PassError, RigError, ValueError) as error:
