@@ -376,17 +376,18 @@ def config_digest(settings: ColourSettings = DEFAULT, *spaces: str) -> str:
 
 def _files_of(config: Any) -> set[str]:
     """Every LUT file that the config names, where it lies now."""
-    ocio, found = _ocio(), set()
+    ocio, context, found = _ocio(), config.getCurrentContext(), set[str]()
 
     def walk(transform: Any) -> None:
         if isinstance(transform, ocio.GroupTransform):
             for one in transform:
                 walk(one)
         elif isinstance(transform, ocio.FileTransform):
-            try:
-                found.add(str(config.getCurrentContext().resolveFileLocation(transform.getSrc())))
-            except (ocio.Exception, ocio.ExceptionMissingFile):
-                found.add(str(transform.getSrc()))
+            # Looked for here: the library remembers what it once found or missed.
+            name = context.resolveStringVar(transform.getSrc())
+            places = [Path(context.getWorkingDir()) / context.resolveStringVar(place) for place in context.getSearchPaths()]
+            tried = [place / name for place in (*places, Path(context.getWorkingDir()))]
+            found.add(str(next((path for path in tried if path.is_file()), name)))
 
     for space in config.getColorSpaces(ocio.SEARCH_REFERENCE_SPACE_ALL, ocio.COLORSPACE_ALL):
         for way in (ocio.COLORSPACE_DIR_TO_REFERENCE, ocio.COLORSPACE_DIR_FROM_REFERENCE):

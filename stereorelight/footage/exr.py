@@ -74,7 +74,7 @@ class ExrPart:
             found["chromaticities"] = tuple(float(x) for x in primaries)
         if isinstance(rate, Fraction) and rate > 0:
             found["framesPerSecond"] = rate
-        if hasattr(code, "dropFrame") and code.hours < 24 and code.frame < 40:
+        if code is not None and hasattr(code, "dropFrame") and code.hours < 24 and code.frame < 40:
             found["timeCode"] = f"{code.hours:02d}:{code.minutes:02d}:{code.seconds:02d}{';' if code.dropFrame else ':'}{code.frame:02d}"
         return found
 
