@@ -100,8 +100,9 @@ def relative_alignment(matches: Matches, *, least: int = LEAST_MATCHES) -> Align
 class Handedness:
     """Which way round the eyes are against each other.
 
-    as_is, mirrored : matches that agree on one geometry, as the plates are and with the right one flipped left-right.
-    upside_down     : rows of one eye run against those of the other (of whichever pairing matched better).
+    as_is, mirrored : matches that agree on one geometry, as the plates are and with the right one flipped left-right; both with
+                      the right one turned by 180 degrees first where it is upside down.
+    upside_down     : hardly anything matches until the right plate is turned by 180 degrees.
     in_front        : with a rig: share of the matches in front of the rig after the flip; tells which eye is mirrored. NaN without.
     """
 
@@ -120,13 +121,6 @@ def _smaller(plate: Float32) -> Float32:
     return np.ascontiguousarray(plate[:h, :w].reshape(h // step, step, w // step, step, 3).mean(axis=(1, 3)), dtype=np.float32)
 
 
-def _runs_backwards(matches: Matches) -> bool:
-    if len(matches) < LEAST_MATCHES // 2:
-        return False
-    a, b = matches.left[:, 1], matches.right[:, 1]
-    return bool(np.corrcoef(a, b)[0, 1] < -0.5)
-
-
 def handedness(left: Float32, right: Float32, *, rig: Rig | None = None, as_is: Matches | None = None) -> Handedness:
     """Whether one eye is mirrored or upside down against the other: which pairing gives the matches.
 
@@ -136,13 +130,18 @@ def handedness(left: Float32, right: Float32, *, rig: Rig | None = None, as_is: 
     small = _smaller(left), _smaller(right)
     plain = as_is if as_is is not None else match_points(*small)
     flipped = match_points(small[0], np.ascontiguousarray(small[1][:, ::-1]))
-    better = flipped if len(flipped) > len(plain) else plain
+    upside_down = False
+    if max(len(plain), len(flipped)) < LEAST_MATCHES:
+        turned = [match_points(small[0], np.ascontiguousarray(other)) for other in (small[1][::-1, ::-1], small[1][::-1])]
+        upside_down = max(map(len, turned)) > max(LEAST_MATCHES, 4 * len(plain), 4 * len(flipped))
+        if upside_down:
+            plain, flipped = turned
     in_front = math.nan
-    if rig is not None and better is flipped and len(flipped) >= LEAST_MATCHES // 2:
+    if rig is not None and not upside_down and len(flipped) > max(len(plain), LEAST_MATCHES // 2):
         scale = np.array(left.shape[1::-1]) / small[0].shape[1::-1]
         p, q = ((points + 0.5) * scale - 0.5 for points in (flipped.left, flipped.right))
         in_front = float((convergence_deg(rig, p, q) > 0).mean())
-    return Handedness(as_is=len(plain), mirrored=len(flipped), upside_down=_runs_backwards(better), in_front=in_front)
+    return Handedness(as_is=len(plain), mirrored=len(flipped), upside_down=upside_down, in_front=in_front)
 
 
 def convergence_deg(rig: Rig, left_px: Float64, right_px: Float64) -> Float64:
