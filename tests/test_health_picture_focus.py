@@ -75,6 +75,12 @@ def test_more_grain_in_one_eye_is_not_sharpness(pair: tuple[Float32, Float32, Fl
     assert judge_focus([(1, found)]).level == "good"
 
 
+def test_unequal_grain_does_not_hide_a_blur(pair: tuple[Float32, Float32, Float64, Float64]) -> None:
+    left, right, at_left, at_right = pair
+    found = focus_difference(noisy(left, 0.003, 1), noisy(blurred(right, 1.0), 0.02, 2), points_left=at_left, points_right=at_right)
+    assert found.sigma_px == pytest.approx(1.0, rel=SIZE)
+
+
 def test_a_tilted_plane_of_focus_is_mapped(pair: tuple[Float32, Float32, Float64, Float64]) -> None:
     left, right, at_left, at_right = pair
     tilted = right.copy()
