@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -15,6 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from stereorelight.errors import PassError, PlateError, ShotError
+from stereorelight.footage import colour
 from stereorelight.footage.colour import (
     STUDIO_CONFIG,
     ColourSettings,
@@ -26,6 +29,7 @@ from stereorelight.footage.colour import (
     display_picture,
     from_working,
     matrix_to,
+    rec709_from_working,
     to_working,
     transfer_table,
     working_space,
@@ -158,6 +162,30 @@ def test_nan_stays_in_its_pixel_and_threads_change_no_bit() -> None:
         set_threads()
 
 
+def test_a_conversion_lets_other_threads_run() -> None:
+    picture, ticks, done = np.full((1080, 1920, 3), 0.4, np.float32), [0], threading.Event()
+
+    def tick() -> None:
+        while not done.wait(0.001):
+            ticks[0] += 1
+
+    set_threads(1)
+    try:
+        processor = colour._between("ARRI LogC3 (EI800)", "ACEScg", ColourSettings())
+        counter = threading.Thread(target=tick)
+        counter.start()
+        start = time.perf_counter()
+        for _ in range(5):
+            processor.applyRGB(picture)  # one call each: had it kept the lock, the counter would stand still
+        took = time.perf_counter() - start
+        done.set()
+        counter.join()
+        assert ticks[0] > 8 or took < 0.02
+    finally:
+        done.set()
+        set_threads()
+
+
 def test_values_outside_0_and_1_are_kept() -> None:
     for space in (*LOGS, "sRGB", "rec709"):
         out = to_working(np.array([[-0.05] * 3, [0.0] * 3, [1.0] * 3, [1.09] * 3]), space)[:, 1]
@@ -183,6 +211,11 @@ def test_a_transfer_table_is_the_conversion(space: str) -> None:
 def test_friendly_names() -> None:
     for name, (space, *_) in ALIASES.items():
         assert checked_space(name) == checked_space(name.lower().replace(" ", "_")) == space
+    # Where the curve's name leaves the gamut open.
+    assert checked_space("S-Log3") == "S-Log3 S-Gamut3.Cine"
+    assert checked_space("V-Log") == "V-Log V-Gamut"
+    assert checked_space("LogC") == checked_space("LogC3") == "ARRI LogC3 (EI800)"
+    assert checked_space("Canon Log 3") == "CanonLog3 CinemaGamut D55"
     assert checked_space("Rec.709") == "rec709"
     assert checked_space("s-log3 s-gamut3") == "S-Log3 S-Gamut3"
     assert checked_space("scene_linear") == "ACEScg"
@@ -223,6 +256,7 @@ def test_a_config_of_the_users_own(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert checked_space("Kodak", own) == "film"
     assert to_working(np.full((1, 3), 0.5), "film", own) == pytest.approx(0.25, abs=1e-6)
     assert chromaticities(own) == PRIMARIES["ACEScg"]  # known by its matrix
+    assert rec709_from_working(to_working([[0.5, 0.2, 0.1]], "sRGB", own), own) == pytest.approx(decode([[0.5, 0.2, 0.1]], "sRGB"), abs=1e-5)
     assert to_working([[0.5, 0.2, 0.1]], "sRGB", own) == pytest.approx(to_working([[0.5, 0.2, 0.1]], "sRGB", ACESCG), abs=1e-5)
     assert working_space(replace(own, working="linear Rec.709")) == "linear Rec.709"
     assert display_picture(np.full((1, 1, 3), 0.25), replace(own, view="Film")).tolist() == [[[128] * 3]]

@@ -315,6 +315,12 @@ def display_picture(linear: npt.ArrayLike, settings: ColourSettings) -> UInt8:
     return np.rint(np.clip(np.nan_to_num(shown, nan=0.0), 0, 1) * np.float32(255)).astype(np.uint8)
 
 
+def rec709_from_working(linear: npt.ArrayLike, settings: ColourSettings = DEFAULT) -> Float32:
+    """Working-space (..., 3) as linear Rec.709, for pictures shown without a display view.  Raises ShotError."""
+    values, working = np.ascontiguousarray(linear, dtype=np.float32), working_space(settings)
+    return values if working == REC709 else _applied(_between(working, REC709, settings), values)
+
+
 def matrix_to(source: str, target: str, settings: ColourSettings) -> npt.NDArray[np.float64]:
     """(3, 3) of the conversion between two linear spaces."""
     if source == target:
