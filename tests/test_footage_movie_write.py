@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import signal
 import tracemalloc
@@ -171,6 +172,13 @@ def test_the_same_frames_give_the_same_bytes(tmp_path: Path, codec: str) -> None
     noise = [np.random.default_rng(i).integers(0, 256, (144, 256, 3), dtype=np.uint8) for i in range(6)]
     first, second = (made(tmp_path / f"{n}{movie_suffix(codec)}", noise, codec, timecode="01:00:00:00").read_bytes() for n in "ab")
     assert first == second
+    if hasattr(os, "sched_setaffinity"):  # as on a machine with a single core
+        cores = os.sched_getaffinity(0)
+        os.sched_setaffinity(0, {min(cores)})
+        try:
+            assert made(tmp_path / f"c{movie_suffix(codec)}", noise, codec, timecode="01:00:00:00").read_bytes() == first
+        finally:
+            os.sched_setaffinity(0, cores)
 
 
 def stopped(path: Path, codec: str, **how: object) -> None:
