@@ -1,0 +1,488 @@
+"""Camera movies to float pictures, frame by frame and exactly; the only home of PyAV besides the writer.
+
+In: ProRes, DNxHD and DNxHR, H.264, H.265, FFV1 in .mov, .mp4, .mxf, .mkv and whatever else the decoder knows.
+Out: (H, W, 3) float32, encoded R'G'B' or, with a transfer table, scene-linear, of the frame asked for.  Frames count from 0 in the order
+in which they are shown.  Pixels: as coded; rotation tags and pixel aspect are told, never applied; alpha is left out.
+
+Whatever the order of reading, a frame has the same bits: frames are known by their presentation time, reading on never seeks, and a
+seek goes to a key frame no later than the frame.  Memory does not grow with the movie, apart from 25 bytes a frame for its times.
+
+Colour tags come from the first frame, else the stream.  Untagged: matrix Rec.709 from 1280 x 720 or 576 rows on and Rec.601 below;
+video range, but full range for RGB and for formats that say so.  Interlaced movies are read as woven frames and say so in their info.
+
+A decoder hides damage by painting old pixels.  Here the first sign of damage has the group of frames decoded again packet by packet:
+what comes before the damage is kept, and each frame from it to the next key frame is refused by name."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from stereorelight.arrays import Float32
+from stereorelight.errors import PlateError
+from stereorelight.footage.movie.packets import PacketTable, packet_table, rate_of
+from stereorelight.footage.movie.pixels import MATRICES, OTHER_MATRICES, PRIMARIES, TRANSFERS, Layout, layout_of, planes_of
+from stereorelight.footage.movie.timecode import Timecode
+from stereorelight.footage.source import check_file
+from stereorelight.footage.ycbcr import Transfer, rgb_from_planes, weights
+from stereorelight.threads import usable_cores
+
+STRICT = {"err_detect": "crccheck+bitstream+buffer+explode"}
+FRAMES_AHEAD = 2  # decoded beyond the cores at work, so that decoding goes on while a picture is converted
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovieInfo:
+    """What a movie is, before any of its pictures.
+
+    path, stream    : the file, and the place among its video streams, from 0.
+    size            : (width, height) as coded, pixels.
+    rate            : frames a second, exactly.
+    frames          : how many frames the file's own tables hold; see `fault`.
+    start_timecode  : time code of frame 0, as written; None where there is none.
+    codec, pixel_format, bits : the decoder's names, bits of a sample.
+    matrix          : "bt601", "bt709", "bt2020" or "rgb"; full_range: whether 0 is black.
+    primaries, transfer : H.273 names such as "bt709", "smpte2084"; None where untagged.
+    sample_aspect   : width of a pixel in heights; 1 where untagged.
+    interlaced      : whether a frame is woven from two moments.
+    rotation_deg    : what the display matrix asks for; never applied.
+    stereo_mode     : the container's word for how two views are packed ("left_right" ...), or None.
+    gaps            : frames that last longer or shorter than the rate says: frames were dropped there.
+    fault           : what is known to be damaged, one sentence, or "".
+    metadata        : the words of container and stream.
+    """
+
+    path: Path
+    stream: int
+    size: tuple[int, int]
+    rate: Fraction
+    frames: int
+    start_timecode: str | None
+    codec: str
+    pixel_format: str
+    bits: int
+    matrix: str
+    full_range: bool
+    primaries: str | None
+    transfer: str | None
+    sample_aspect: Fraction
+    interlaced: bool = False
+    rotation_deg: int = 0
+    stereo_mode: str | None = None
+    gaps: tuple[int, ...] = ()
+    fault: str = ""
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+    def timecode(self, frame: int) -> Timecode | None:
+        """Time code of frame `frame`, or None where the movie has none that can be read."""
+        if self.start_timecode is None:
+            return None
+        try:
+            return Timecode.parse(self.start_timecode, self.rate) + frame
+        except PlateError:
+            return None
+
+
+def _open(path: Path) -> Any:
+    """The container.  Raises PlateError where it is no movie."""
+    check_file(path)
+    import av
+
+    av.logging.set_level(None)
+    av.logging.set_libav_level(av.logging.PANIC)
+    try:
+        return av.open(str(path), "r", metadata_errors="replace")
+    except (av.error.FFmpegError, ValueError, OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise PlateError(f"{path}: is no movie that can be read ({reason.lower()}); it may be cut short: copy or export it again") from None
+
+
+def _video_streams(container: Any) -> list[Any]:
+    """Video streams that are movies: cover pictures are none."""
+    from av.stream import Disposition
+
+    return [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
+
+
+def _chosen(container: Any, path: Path, stream: int) -> Any:
+    streams = _video_streams(container)
+    if not streams:
+        kinds = ", ".join(sorted({s.type for s in container.streams})) or "none"
+        raise PlateError(f"{path}: has no video stream (streams: {kinds}); give a movie with pictures")
+    if not 0 <= stream < len(streams):
+        there = ", ".join(f"{k} ({s.codec_context.name} {s.codec_context.width} x {s.codec_context.height})" for k, s in enumerate(streams))
+        raise PlateError(f"{path}: has no video stream {stream}; there is {there}")
+    return streams[stream]
+
+
+def movie_streams(path: str | Path) -> tuple[MovieInfo, ...]:
+    """What each video stream of a movie is.  Raises PlateError for a file that is no movie or has no pictures."""
+    path = Path(path)
+    container = _open(path)
+    try:
+        _chosen(container, path, 0)
+        count = len(_video_streams(container))
+    finally:
+        container.close()
+    infos = []
+    for stream in range(count):
+        with Movie(path, stream=stream) as movie:
+            infos.append(movie.info)
+    return tuple(infos)
+
+
+class Movie:
+    """One video stream of a movie, opened when first asked and read frame by frame in any order.
+
+    stream : place among the file's video streams, from 0.
+    matrix : "auto" (by tags, see above), "bt601", "bt709", "bt2020".
+    levels : "auto", "video", "full".
+    siting : where 4:2:2 and 4:2:0 chroma lies: "left", "topleft", "center" (see footage/ycbcr.py).
+    threads: of the decoder; None for one a core and two ahead.
+    Raises : PlateError for everything that can be wrong with a movie.
+    It can be sent to another process, where it opens again.  One thread reads at a time; others wait."""
+
+    def __init__(
+        self, path: str | Path, *, stream: int = 0, matrix: str = "auto", levels: str = "auto", siting: str = "left", threads: int | None = None
+    ) -> None:
+        if matrix != "auto":
+            weights(matrix)
+        if levels not in ("auto", "video", "full"):
+            raise PlateError(f"levels {levels!r} are unknown; known: auto, video, full")
+        self.path, self.stream = Path(path), stream
+        self._options = {"matrix": matrix, "levels": levels, "siting": siting}
+        self._threads = threads
+        self._forget()
+
+    def _forget(self) -> None:
+        self._lock = threading.RLock()
+        self._container: Any = None
+        self._video: Any = None
+        self._info: MovieInfo | None = None
+        self._frames: Iterator[tuple[int, Any]] | None = None
+        self._fresh = False  # whether nothing was read since the container was opened
+        self._next = 0  # the frame that reading on would give
+        self._held: tuple[int, Any] | None = None
+        self._bad: dict[int, str] = {}  # packet: why its picture cannot be had
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "stream": self.stream, "_options": self._options, "_threads": self._threads}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._forget()
+
+    def __enter__(self) -> Movie:
+        self._opened()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file; asking again opens it again."""
+        with self._lock:
+            container, bad = self._container, self._bad
+            self._forget()
+            self._bad = bad
+            if container is not None:
+                container.close()
+
+    @property
+    def info(self) -> MovieInfo:
+        """What the movie is."""
+        return self._opened()
+
+    def _opened(self) -> MovieInfo:
+        with self._lock:
+            if self._info is None:
+                try:
+                    self._open_stream()
+                    self._table: PacketTable = packet_table(self._container, self._video, str(self.path), self.path.stat().st_size)
+                    self._place = {int(pts): k for k, pts in enumerate(self._table.pts)}
+                    self._find_cut()
+                    self._open_stream()
+                    self._info = self._described()
+                except BaseException:
+                    self.close()
+                    raise
+            return self._info
+
+    def _open_stream(self, *, threads: int | None = None) -> None:
+        if self._container is not None:
+            self._container.close()
+        self._container = _open(self.path)
+        self._video = _chosen(self._container, self.path, self.stream)
+        context = self._video.codec_context
+        count = threads or self._threads or usable_cores() + FRAMES_AHEAD
+        context.thread_type = "AUTO" if count > 1 else "NONE"
+        context.thread_count = count
+        context.options = dict(STRICT)
+        self._frames = self._held = None
+        self._fresh = True
+
+    def _rewind(self) -> None:
+        """Before the first packet: a new container, since not every format seeks back to its very beginning."""
+        if not self._fresh:
+            reading = self._frames
+            self._open_stream(threads=self._now_threads)
+            self._frames = reading
+        self._fresh = False
+
+    def _find_cut(self) -> None:
+        table = self._table
+        if table.cut is None:
+            return
+        for packet in range(table.cut, len(table.pts)):
+            self._bad[packet] = "the file is cut short"
+
+    def _described(self) -> MovieInfo:
+        """Tags of the stream and of the first frame that can be decoded."""
+        table = self._table
+        rate, gaps = rate_of(table, self._video, str(self.path))
+        first: Any = None
+        try:
+            first = self._picture(0)
+        except PlateError:
+            if not self._video.codec_context.pix_fmt:
+                raise
+        video, context = self._video, self._video.codec_context  # only now: reading may have opened the file again
+        first = context if first is None else first
+        name = first.format.name if first.format else str(context.pix_fmt)
+        layout = layout_of(name)
+        if layout is None:
+            raise PlateError(f"{self.path}: has {name} pixels, which are not read; export 8 to 16 bit Y'CbCr 4:4:4, 4:2:2, 4:2:0, or RGB")
+        self._layout: Layout = layout
+        size = (int(first.width), int(first.height))
+        words = {**self._container.metadata, **video.metadata}
+        code = words.get("timecode") or next((s.metadata["timecode"] for s in self._container.streams if "timecode" in s.metadata), None)
+        rotation = int(getattr(first, "rotation", 0) or 0)
+        woven = bool(getattr(first, "interlaced_frame", False)) or int(getattr(context, "field_order", 0) or 0) > 1
+        bad = [frame for frame, packet in enumerate(table.shown) if int(packet) in self._bad]
+        return MovieInfo(
+            path=self.path,
+            stream=self.stream,
+            size=size,
+            rate=rate,
+            frames=len(table.shown),
+            start_timecode=code,
+            codec=context.name,
+            pixel_format=name,
+            bits=layout.bits,
+            matrix=self._matrix(first, layout, size),
+            full_range=self._full_range(first, layout),
+            primaries=PRIMARIES.get(int(first.color_primaries)) or PRIMARIES.get(int(context.color_primaries)),
+            transfer=TRANSFERS.get(int(first.color_trc)) or TRANSFERS.get(int(context.color_trc)),
+            sample_aspect=Fraction(video.sample_aspect_ratio or 1),
+            interlaced=woven,
+            rotation_deg=rotation,
+            stereo_mode=words.get("stereo_mode"),
+            gaps=gaps,
+            fault=f"{len(bad)} frames from frame {bad[0]} on cannot be read: {self._bad[int(table.shown[bad[0]])]}" if bad else "",
+            metadata=words,
+        )
+
+    def _matrix(self, first: Any, layout: Layout, size: tuple[int, int]) -> str:
+        if layout.is_rgb:
+            return "rgb"
+        if self._options["matrix"] != "auto":
+            return self._options["matrix"]
+        for source in (first, self._video.codec_context):
+            tag = int(source.colorspace)
+            if MATRICES.get(tag, "rgb") != "rgb":
+                return MATRICES[tag]
+            if tag in OTHER_MATRICES:
+                raise PlateError(
+                    f"{self.path}: its colour matrix is {OTHER_MATRICES[tag]}, which is not read; export it as Rec.709, or name the matrix"
+                )
+        return "bt709" if size[0] >= 1280 or size[1] > 576 else "bt601"
+
+    def _full_range(self, first: Any, layout: Layout) -> bool:
+        if self._options["levels"] != "auto":
+            return self._options["levels"] == "full"
+        for source in (first, self._video.codec_context):
+            if int(source.color_range) in (1, 2):
+                return int(source.color_range) == 2
+        return layout.always_full or layout.is_rgb
+
+    # Decoding
+
+    def _packets_from(self, key: int) -> Iterator[tuple[int, Any]]:
+        """(place in the table, packet) from packet `key` on, seeking there; what is shown before it but decoded after is left out."""
+        import av
+
+        table = self._table
+        for whole in (False, True):
+            if whole or key == 0:
+                self._rewind()
+            else:
+                self._container.seek(int(table.dts[key]), stream=self._video, backward=True)
+                self._fresh = False
+            begun = False
+            for packet in self._container.demux(self._video):
+                if packet.size == 0:
+                    continue
+                if not begun:
+                    if packet.pts == int(table.pts[key]):
+                        begun = True
+                    elif packet.dts is not None and packet.dts > int(table.dts[key]):
+                        break  # the seek went too far: read from the beginning
+                    else:
+                        continue
+                # Matroska makes up decoding times anew after a seek, so the presentation time alone tells which packet it is.
+                at = self._place.get(packet.pts, -1)
+                if at >= 0 and (key == 0 or packet.pts >= int(table.pts[key])):
+                    yield at, packet
+            if begun or whole or key == 0:
+                return
+        raise av.error.EOFError(0, "no key frame")
+
+    def _decoded(self, key: int, end: int | None = None) -> Iterator[tuple[int, Any]]:
+        """(presentation time, picture) in the order of showing, decoded from packet `key` on and before packet `end`."""
+        for at, packet in self._packets_from(key):
+            if end is not None and at >= end:
+                break
+            if at in self._bad:
+                continue
+            for picture in self._video.codec_context.decode(packet):
+                yield picture.pts, picture
+        for picture in self._video.codec_context.decode(None):
+            yield picture.pts, picture
+
+    _now_threads: int | None = None
+
+    def _look_for_damage(self, key: int) -> bool:
+        """Decode one group of frames packet by packet and note the damage in `_bad`; whether any was found."""
+        import av
+
+        table, end = self._table, self._table.next_key(key)
+        self._now_threads = 1
+        try:
+            self._open_stream(threads=1)
+            fault: tuple[int, str] | None = None
+            seen: dict[int, int] = {}
+            got: set[int] = set()
+            last = key
+            try:
+                for at, packet in self._packets_from(key):
+                    if at >= end or at in self._bad:
+                        break
+                    last = at
+                    seen[packet.pts] = at
+                    for picture in self._video.codec_context.decode(packet):
+                        got.add(picture.pts)
+                        if picture.is_corrupt:
+                            fault = (seen.get(picture.pts, at), "its data are damaged")
+                            break
+                    if fault:
+                        break
+                if fault is None:
+                    for picture in self._video.codec_context.decode(None):
+                        got.add(picture.pts)
+                        if picture.is_corrupt and fault is None:
+                            fault = (seen.get(picture.pts, last), "its data are damaged")
+                    lost = [at for pts, at in seen.items() if pts not in got and at in set(table.shown.tolist())]
+                    if lost and fault is None:
+                        fault = (min(lost), "the decoder gives no picture for it")
+            except av.error.FFmpegError as error:
+                fault = (last, f"its data are damaged ({(error.strerror or 'decoder error').lower()})")
+            if fault is None:
+                return False
+            for at in range(fault[0], end):
+                self._bad.setdefault(at, fault[1])
+            # What the next group shows before its key frame leans on this one.
+            if end < len(table.pts):
+                for at in range(end + 1, table.next_key(end)):
+                    if table.pts[at] < table.pts[end]:
+                        self._bad.setdefault(at, fault[1])
+            return True
+        finally:
+            self._now_threads = None
+            self._open_stream()
+
+    def _refused(self, index: int) -> PlateError:
+        table = self._table
+        good = 0
+        while good < len(table.shown) and int(table.shown[good]) not in self._bad:
+            good += 1
+        rest = f"frames 0-{good - 1} before it are good" if good else "no frame before it is good"
+        return PlateError(f"{self.path}: frame {index} cannot be read: {self._bad[int(table.shown[index])]}; {rest}; copy or export the movie again")
+
+    def _picture(self, index: int) -> Any:
+        """The decoder's picture of frame `index`."""
+        import av
+
+        table = self._table
+        if self._held is not None and self._held[0] == index:
+            return self._held[1]
+        wanted = int(table.pts[table.shown[index]])
+        key = table.key_before(index)
+        for _ in range(len(table.pts) + 1):  # each further turn has marked more damage
+            if int(table.shown[index]) in self._bad:
+                raise self._refused(index)
+            if self._frames is None or index < self._next or table.pts[key] > table.pts[table.shown[min(self._next, len(table.shown) - 1)]]:
+                self._frames, self._next = self._decoded(key), int(np.searchsorted(table.pts[table.shown], table.pts[key]))
+            try:
+                for pts, picture in self._frames:
+                    if pts is None or pts < wanted:
+                        if picture.is_corrupt:
+                            break
+                        self._next = int(np.searchsorted(table.pts[table.shown], pts, side="right")) if pts is not None else self._next
+                        continue
+                    if pts == wanted and not picture.is_corrupt:
+                        self._next, self._held = index + 1, (index, picture)
+                        return picture
+                    break
+            except av.error.FFmpegError:
+                pass
+            self._frames = None
+            if not self._damage_up_to(index):
+                # Sound data, yet no picture from this key frame: a later recovery point was taken for one. Begin earlier.
+                if key == 0:
+                    self._bad[int(table.shown[index])] = "the decoder gives no picture for it"
+                else:
+                    key = max((int(k) for k in np.flatnonzero(table.key[:key])), default=0)
+        raise self._refused(index)
+
+    def _damage_up_to(self, index: int) -> bool:
+        """Look for damage from the group where reading stood to that of frame `index`."""
+        table = self._table
+        first = table.key_before(min(self._next, index))
+        last = table.key_before(index)
+        found = False
+        for key in [int(k) for k in np.flatnonzero(table.key[: last + 1]) if k >= first] or [first]:
+            found = self._look_for_damage(key) or found
+        return found
+
+    def read(self, index: int, transfer: Transfer | None = None, *, out: Float32 | None = None) -> Float32:
+        """Frame `index`, from 0, as (H, W, 3) float32: encoded R'G'B' with 0 black and 1 white, or what `transfer` makes of it.
+
+        transfer : a curve and matrix applied in the same pass, such as `footage.colour.transfer_table` gives.
+        out      : filled and returned in place of a new array.
+        Raises   : PlateError for a frame that is not there or is damaged, saying which frames are good."""
+        with self._lock:
+            info = self._opened()
+            if not 0 <= index < info.frames:
+                raise PlateError(f"{self.path}: has no frame {index}; it has frames 0-{info.frames - 1}")
+            picture = self._picture(index)
+            if (picture.width, picture.height) != info.size or picture.format.name != info.pixel_format:
+                came = f"{picture.width} x {picture.height} {picture.format.name}"
+                raise PlateError(
+                    f"{self.path}: frame {index} is {came}, the first is {info.size[0]} x {info.size[1]} {info.pixel_format}; split the movie there"
+                )
+            return rgb_from_planes(
+                planes_of(picture, self._layout),
+                bits=info.bits,
+                full_range=info.full_range,
+                matrix=info.matrix,
+                transfer=transfer,
+                siting=self._options["siting"],
+                out=out,
+            )
