@@ -73,7 +73,9 @@ def real_rig(pair: TruePair) -> Rig:
     return Rig(left=pair.rig.left, right=pair.rig.right, R_right_left=np.eye(3), t_right_left_m=np.array([-pair.rig.baseline_m, 0, 0]))
 
 
-@pytest.mark.parametrize("signs", [(1, 1, 1, 1), (-1, 1, -1, -1), (1, -1, -1, 1)])
+@pytest.mark.parametrize(
+    "signs", [(1, 1, 1, 1), pytest.param((-1, 1, -1, -1), marks=pytest.mark.slow), pytest.param((1, -1, -1, 1), marks=pytest.mark.slow)]
+)
 def test_motorcycle_turned_and_zoomed_is_mended(
     pair: TruePair, plates: tuple[np.ndarray, np.ndarray], real_rig: Rig, signs: tuple[int, int, int, int]
 ) -> None:
@@ -217,7 +219,7 @@ def test_another_rig_is_refused() -> None:
         solve_drift(rig_named("parallel", (320, 180)), matches_of(rig, 100))
 
 
-@pytest.mark.parametrize("name", ["toed-in", "hard"])
+@pytest.mark.parametrize("name", [pytest.param("toed-in", marks=pytest.mark.slow), "hard"])
 def test_rendered_shots_with_noise_are_mended(name: str) -> None:
     size = (480, 270)
     rig = rig_named(name, size)

@@ -75,7 +75,7 @@ def findings(plates: Plates, right: np.ndarray | None = None) -> dict[str, Findi
     right = plates.right if right is None else right
     rig = plates.rig
     matches = match_points(plates.left, right, rig=rig)
-    raw, drift = relative_alignment(matches), solve_drift(rig, matches)
+    drift = solve_drift(rig, matches)
     assert drift.before is not None
     hand = handedness(plates.left, right, rig=rig, as_is=matches)
     exchanged = Matches(left=matches.right, right=matches.left, sigma_px=matches.sigma_px, size=matches.size)
@@ -89,8 +89,8 @@ def findings(plates: Plates, right: np.ndarray | None = None) -> dict[str, Findi
             behind_exchanged=float(behind_rig(rig, exchanged, tolerance_deg=STALE_DEG).mean()),
         ),
         judge_vertical([(None, drift.before.median)], p95_px=drift.before.p95, grid=drift.before.map, after_rig=True),
-        judge_roll(raw.roll_deg, raw.roll_sigma, after_rig=False),
-        judge_zoom(100 * (raw.zoom - 1), 100 * raw.zoom_sigma, after_rig=False),
+        judge_roll(-drift.roll_deg, drift.sigmas["roll_deg"], after_rig=True),
+        judge_zoom(100 * (drift.zoom - 1), 100 * drift.sigmas["zoom"], after_rig=True),
         judge_rig_stale(
             drift.angles_deg,
             100 * (drift.zoom - 1),
@@ -112,6 +112,16 @@ def test_a_clean_shot_raises_nothing(clean: Plates) -> None:
     told = findings(clean)
     assert worst(told.values()) == "good", [f for f in told.values() if f.level != "good"]
     assert "rows agree to 0.0" in told["rig_stale"].words
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("scene", "rig"), [("bust", "hard"), ("box", "distorted"), ("sphere", "offset")])
+def test_clean_shots_of_rigs_that_are_no_rectified_pair_raise_nothing(scene: str, rig: str) -> None:
+    plates = shot(scene, rig)
+    brighter = (plates.right * 2**0.7).astype(np.float32)
+    told = findings(plates, brighter)
+    assert worst(told.values()) == "good", [f for f in told.values() if f.level != "good"]
+    assert findings(Plates(plates.rig, brighter, plates.left))["swapped"].level == "bad"
 
 
 def test_three_pixels_of_vertical_shift(clean: Plates) -> None:
@@ -143,6 +153,10 @@ def test_four_thousandths_of_zoom(clean: Plates) -> None:
     assert "zoom +0.40" in told["rig_stale"].words
     assert told["rig_stale"].details["zoom_percent"] == pytest.approx(0.4, rel=TENTH)
     assert told["roll"].level == "good"
+    raw = relative_alignment(match_points(clean.left, right))
+    assert 100 * (raw.zoom - 1) == pytest.approx(0.4, rel=TENTH)
+    assert abs(raw.roll_deg) < 0.02
+    assert judge_zoom(100 * (raw.zoom - 1), 100 * raw.zoom_sigma, after_rig=False).level == "warn"
     assert mended_px(clean.rig, match_points(clean.left, right, rig=clean.rig)) <= 0.1
 
 
@@ -155,6 +169,9 @@ def test_half_a_degree_of_roll(clean: Plates, roll: float) -> None:
     assert ("anticlockwise" in told["roll"].words) == (roll < 0)
     assert told["rig_stale"].details["roll_deg"] == pytest.approx(-roll, rel=TENTH)  # the eye turned the other way
     assert told["zoom"].level == "good"
+    raw = relative_alignment(match_points(clean.left, right))
+    assert raw.roll_deg == pytest.approx(roll, rel=TENTH)
+    assert abs(raw.vertical_px) < 0.05
     assert mended_px(clean.rig, match_points(clean.left, right, rig=clean.rig)) <= 0.1
 
 

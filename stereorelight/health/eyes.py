@@ -149,10 +149,12 @@ def judge_vertical(
     return Finding(name="vertical", level=level, value=size, unit="px", words=words, remedy=remedy, frames=tuple(frames), details=details)
 
 
-def _sized(name: str, value: float, sigma: float, unit: str, tolerance: float, words: tuple[str, str], remedy: str, frames: Frames) -> Finding:
+def _sized(
+    name: str, value: float, sigma: float, unit: str, tolerance: float, words: tuple[str, str], remedy: str, frames: Frames, after_rig: bool
+) -> Finding:
     size = abs(value)
     over = size > tolerance and size > SURE_SIGMAS * sigma
-    level: Level = "good" if not over else "bad" if size > GRAVE * tolerance else "warn"
+    level: Level = "good" if not over else "bad" if size > GRAVE * tolerance and after_rig else "warn"  # without a rig it may be the rig's nature
     if not math.isfinite(value):
         return Finding(name=name, level="unknown", words=f"{name} could not be measured: too few points match", frames=tuple(frames))
     if not over and sigma > tolerance:
@@ -169,17 +171,18 @@ def _sized(name: str, value: float, sigma: float, unit: str, tolerance: float, w
 
 
 def judge_roll(roll_deg: float, sigma_deg: float, *, after_rig: bool, frames: Frames = ()) -> Finding:
-    """roll_deg : > 0 where the right picture is turned clockwise against the left one."""
+    """roll_deg : > 0 where the right picture is turned clockwise against the left one: `Alignment.roll_deg`, or with a rig
+    `-Drift.roll_deg` (the eye itself turned the other way)."""
     words = ("the right picture is turned clockwise", "the right picture is turned anticlockwise")
     remedy = MEND if after_rig else "level the eyes on the rig, or give the rig's calibration"
-    return _sized("roll", roll_deg, sigma_deg, "deg", ROLL_WARN_DEG, words, remedy, frames)
+    return _sized("roll", roll_deg, sigma_deg, "deg", ROLL_WARN_DEG, words, remedy, frames, after_rig)
 
 
 def judge_zoom(percent: float, sigma_percent: float, *, after_rig: bool, frames: Frames = ()) -> Finding:
-    """percent : > 0 where the right picture shows things larger."""
+    """percent : > 0 where the right picture shows things larger: of `Alignment.zoom`, or with a rig of `Drift.zoom`."""
     words = ("the right picture is larger", "the right picture is smaller")
     remedy = MEND if after_rig else "match the focal lengths, or give the rig's calibration"
-    return _sized("zoom", percent, sigma_percent, "%", ZOOM_WARN_PERCENT, words, remedy, frames)
+    return _sized("zoom", percent, sigma_percent, "%", ZOOM_WARN_PERCENT, words, remedy, frames, after_rig)
 
 
 def judge_rig_stale(
