@@ -3,9 +3,9 @@
 In: a `Problem` (corners of every view in both eyes, NaN where unseen) and a `State` to start from.  Out: a `Fit`.
 Frames: camera frames (x right, y down, z forward); the board's frame has z = 0 on the board.  Metres, pixels, radians.
 
-The unknowns fall into those that all views share (two lenses, the pose between the eyes, the board's warp) and six for
+The unknowns fall into those that all views share (two lenses, the pose between the eyes, the board's own shape) and six for
 each view.  A view's six meet no other view's, so they are eliminated view by view (Schur complement), and what is left
-to solve has some thirty unknowns whatever the number of views.  Rotations are updated on the left, R <- exp(w) R, so
+to solve has some thirty unknowns whatever the number of views, and three more for each corner of a board that is not true.  Rotations are updated on the left, R <- exp(w) R, so
 that standard errors of w are angles about the camera's own axes."""
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from stereorelight.arrays import Bool, Float64
 from stereorelight.calibration.projection import checked_lens, project, rotation
 
 POSE = 6  # unknowns of a view, and of the pose between the eyes: turn, then shift
-WARP = 2  # the board's bend along its columns and along its rows
 STEPS = 60
 CONVERGED = 1e-10  # relative fall of the cost below which a solve has ended
 
@@ -33,6 +32,7 @@ class Problem:
     lenses    : names in `projection.LENSES`, left and right.
     free      : (shared,) which shared unknowns may move; see `shared_slices`.
     expected  : (shared,) prior values of the shared unknowns, used where `expected_sigma` is finite.
+    basis     : (K, n, 3) the ways in which the board may differ from `points_m`; see `shape_basis`.
     baseline  : (metres, one sigma) that is known from elsewhere, or None.
     """
 
@@ -43,6 +43,7 @@ class Problem:
     free: Bool
     expected: Float64
     expected_sigma: Float64
+    basis: Float64
     baseline: tuple[float, float] | None = None
 
     @property
@@ -57,14 +58,14 @@ class Problem:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class State:
-    """Values of all unknowns.  R, t: left camera from board, (V, 3, 3) and (V, 3)."""
+    """Values of all unknowns.  R, t: left camera from board, (V, 3, 3) and (V, 3).  shape: (K,) metres along the basis."""
 
     intrinsics: tuple[Float64, Float64]
     R_right_left: Float64
     t_right_left_m: Float64
     R: Float64
     t_m: Float64
-    warp_m: Float64 = field(default_factory=lambda: np.zeros(WARP))
+    shape_m: Float64 = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,34 +91,46 @@ class Fit:
 
 
 def shared_slices(lenses: tuple[str, str]) -> dict[str, slice]:
-    """Where the shared unknowns stand: left, right (fx fy cx cy lens...), turn, shift (right from left), warp."""
+    """Where the shared unknowns stand: left, right (fx fy cx cy lens...), turn, shift (right from left), and rig for all four.
+
+    The board's shape is whatever follows the rig."""
     a, b = (4 + checked_lens(name)[1] for name in lenses)
-    ends = np.cumsum([0, a, b, 3, 3, WARP])
-    return {name: slice(int(i), int(j)) for name, i, j in zip(("left", "right", "turn", "shift", "warp"), ends[:-1], ends[1:])}
+    ends = [int(i) for i in np.cumsum([0, a, b, 3, 3])]
+    at = {name: slice(i, j) for name, i, j in zip(("left", "right", "turn", "shift"), ends[:-1], ends[1:])}
+    return {**at, "rig": slice(0, ends[-1])}
 
 
 def shared_names(lenses: tuple[str, str]) -> tuple[str, ...]:
-    """A name for each shared unknown: `left.fx`, `right.p1`, `turn.x` (radians), `shift.z` (metres), `warp.x` (metres)."""
+    """A name for each of the rig's unknowns: `left.fx`, `right.p1`, `turn.x` (radians), `shift.z` (metres)."""
     lens_names = {"brown": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), "rational": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")}
     names: list[str] = []
     for eye, lens in zip(("left", "right"), lenses):
         model, count = checked_lens(lens)
         own = lens_names.get(model, ("k1", "k2", "k3", "k4"))[:count]
         names += [f"{eye}.{name}" for name in ("fx", "fy", "cx", "cy", *own)]
-    return (*names, *(f"{what}.{axis}" for what in ("turn", "shift") for axis in "xyz"), "warp.x", "warp.y")
+    return (*names, *(f"{what}.{axis}" for what in ("turn", "shift") for axis in "xyz"))
 
 
-def bend(points_m: Float64) -> Float64:
-    """(n, 2) height of a board bent by one unit along its columns and along its rows: a parabola, 0 at the edges."""
-    low, high = points_m[:, :2].min(axis=0), points_m[:, :2].max(axis=0)
-    t = (2 * points_m[:, :2] - low - high) / np.maximum(high - low, 1e-12)
-    height: Float64 = 1 - t * t
-    return height
+def shape_basis(points_m: Float64, shape: str) -> Float64:
+    """(K, n, 3) how a board may differ from its plan.
+
+    "true" : not at all.  "bent": a parabola along its columns and one along its rows, 0 at the edges (as mrcal has it).
+    "free" : every corner by itself, in all three directions; held near the plan by a prior only.
+    """
+    n = len(points_m)
+    if shape == "free":
+        return np.eye(3 * n).reshape(3 * n, n, 3)
+    basis = np.zeros((2 if shape == "bent" else 0, n, 3))
+    if shape == "bent":
+        low, high = points_m[:, :2].min(axis=0), points_m[:, :2].max(axis=0)
+        t = (2 * points_m[:, :2] - low - high) / np.maximum(high - low, 1e-12)
+        basis[..., 2] = (1 - t * t).T
+    return basis
 
 
 def shared_values(state: State) -> Float64:
     """The shared unknowns of `state`; the turn between the eyes is counted from itself, so 0."""
-    return np.concatenate([*state.intrinsics, np.zeros(3), state.t_right_left_m, state.warp_m])
+    return np.concatenate([*state.intrinsics, np.zeros(3), state.t_right_left_m, state.shape_m])
 
 
 def moved(state: State, lenses: tuple[str, str], shared: Float64, poses: Float64) -> State:
@@ -129,15 +142,19 @@ def moved(state: State, lenses: tuple[str, str], shared: Float64, poses: Float64
         t_right_left_m=state.t_right_left_m + shared[at["shift"]],
         R=rotation(poses[:, :3]) @ state.R,
         t_m=state.t_m + poses[:, 3:],
-        warp_m=state.warp_m + shared[at["warp"]],
+        shape_m=state.shape_m + shared[at["rig"].stop :],
     )
+
+
+def board_points(problem: Problem, state: State) -> Float64:
+    """(n, 3) the corners as the board has them, in its own frame."""
+    points: Float64 = problem.points_m + np.tensordot(state.shape_m, problem.basis, axes=1)
+    return points
 
 
 def _eye_points(problem: Problem, state: State) -> tuple[Float64, Float64]:
     """(V, n, 3) the corners in the left and in the right camera frame."""
-    board = problem.points_m.copy()
-    board[:, 2] += bend(board) @ state.warp_m
-    left = board @ state.R.transpose(0, 2, 1) + state.t_m[:, None]
+    left = board_points(problem, state) @ state.R.transpose(0, 2, 1) + state.t_m[:, None]
     return left, left @ state.R_right_left.T + state.t_right_left_m
 
 
@@ -189,7 +206,7 @@ class _Normal:
 
 def _normal(problem: Problem, state: State, scale: float | None) -> _Normal:
     at, size, views, n = shared_slices(problem.lenses), len(problem.free), problem.px.shape[1], len(problem.points_m)
-    height = bend(problem.points_m)
+    own, shape = at["rig"].stop, problem.basis.transpose(1, 2, 0)
     points = _eye_points(problem, state)
     residual = np.full(problem.px.shape, np.nan)
     blocks = []
@@ -208,7 +225,8 @@ def _normal(problem: Problem, state: State, scale: float | None) -> _Normal:
         if eye:
             J[..., at["turn"]] = np.cross((points[1] - state.t_right_left_m)[:, :, None], by_point)
             J[..., at["shift"]] = by_point
-        J[..., at["warp"]] = (by_left @ state.R[:, None, :, 2:]) * height[None, :, None]
+        if size > own:
+            J[..., own:size] = (by_left @ state.R[:, None]) @ shape
         J[..., size : size + 3] = np.cross((points[0] - state.t_m[:, None])[:, :, None], by_left)
         J[..., size + 3 : size + 6] = by_left
         J[..., :size] *= problem.free

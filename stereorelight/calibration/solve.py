@@ -13,7 +13,7 @@ import numpy as np
 
 from stereorelight.arrays import Bool, Float64
 from stereorelight.calibration import start
-from stereorelight.calibration.bundle import Fit, Problem, State, fit, shared_names, shared_slices
+from stereorelight.calibration.bundle import Fit, Problem, State, board_points, fit, shape_basis, shared_names, shared_slices
 from stereorelight.calibration.projection import camera_of, checked_lens, intrinsics_of, lens_of
 from stereorelight.calibration.sightings import StereoViews
 from stereorelight.camera import Camera, Eye, Rig
@@ -26,6 +26,8 @@ CAUCHY = 3.0  # sigmas at which a corner's pull is halved, while it is not yet k
 BAD_CORNER = 5.0  # sigmas; of a million good corners four are farther off
 BAD_VIEW = 3.0  # times the usual median error
 BAD_SHARE = 0.4  # of a view's corners: with more of them bad the view is bad
+STRAY_START = 0.02  # of the pitch between corners: how far off its plan a board may be, to begin with
+LEAST_STRAY = 1e-5
 LEAST_SIGMA = 1e-12  # pixels: corners without any noise
 RATIONAL_SIGMA = 1.0  # share of the radius: by how much each term of a rational lens is expected to bend the frame's corner
 
@@ -88,7 +90,8 @@ class Calibration:
     view_rms_px      : (2, V) of all corners; view_rms_before_px the same before anything was left out.
     sigma_px         : one sigma of a corner along one axis, in pixels at the median corner.
     view_excess      : by how much the views scatter more than their corners' noise explains; 1 where they do not.
-    covariance       : (shared, shared) of the shared unknowns `names`, scaled by both; 0 for what was held fixed.
+    covariance       : of the rig's unknowns `names`, scaled by both; 0 for what was held fixed.
+    board_m          : (n, 3) the corners as the board has them; its plan where the board was taken as true.
     """
 
     rig: Rig
@@ -107,6 +110,7 @@ class Calibration:
     sigma_px: float
     view_excess: float
     covariance: Float64
+    board_m: Float64
     names: tuple[str, ...]
 
     @property
@@ -148,6 +152,36 @@ def _robust_fit(problem: Problem, state: State, *, rounds: int = 6) -> tuple[Fit
     return found, sigma
 
 
+def _shaped(found: Fit, sigma: float, shape: str, *, rounds: int = 4) -> tuple[Fit, float]:
+    """A robust fit in which the board need not be true, from one in which it was.
+
+    How far corners stray from the plan is not known beforehand: the prior's sigma, one in the board's plane and one across
+    it, is the one that the corners themselves then show (empirical Bayes), so that a true board stays true."""
+    basis = shape_basis(found.problem.points_m, shape)
+    across = np.abs(basis[:, :, 2]).max(axis=1) > 0
+    expected = np.zeros(len(found.problem.free) + len(basis))
+    expected[: len(found.problem.free)] = found.problem.expected
+    pitch = _pitch(found.problem.points_m)
+    stray = np.full(len(basis), STRAY_START * pitch)
+    problem = replace(found.problem, basis=basis, expected=expected, free=np.append(found.problem.free, np.ones(len(basis), dtype=bool)))
+    state = replace(found.state, shape_m=np.zeros(len(basis)))
+    for _ in range(rounds):
+        problem = replace(problem, weight=problem.weight / max(sigma, LEAST_SIGMA), expected_sigma=np.append(found.problem.expected_sigma, stray))
+        found_shape = fit(problem, state, scale=CAUCHY)
+        state, sigma = found_shape.state, robust_sigma(found_shape)
+        spread = np.diag(covariance_of(found_shape))[-len(basis) :] + state.shape_m**2
+        for part in (across, ~across):
+            if shape == "free":
+                stray[part] = max(float(np.sqrt(spread[part].mean())), LEAST_STRAY * pitch)
+    return found_shape, sigma
+
+
+def _pitch(points_m: Float64) -> float:
+    """Distance between neighbouring corners."""
+    apart = np.linalg.norm(points_m[:, None] - points_m[None], axis=-1)
+    return float(np.median(np.where(apart > 0, apart, np.inf).min(axis=1)))
+
+
 def _problem(views: StereoViews, lenses: tuple[str, str], px: Float64, sigma: Float64, free: Bool, known: Known, state: State) -> Problem:
     at = shared_slices(lenses)
     expected, expected_sigma = np.zeros(len(free)), np.full(len(free), np.inf)
@@ -170,13 +204,14 @@ def _problem(views: StereoViews, lenses: tuple[str, str], px: Float64, sigma: Fl
         free=free,
         expected=expected,
         expected_sigma=expected_sigma,
+        basis=np.zeros((0, len(views.points_m), 3)),
         baseline=known.baseline_m,
     )
 
 
 def _free(lenses: tuple[str, str], *parts: str) -> Bool:
     at = shared_slices(lenses)
-    free = np.zeros(at["warp"].stop, dtype=bool)
+    free = np.zeros(at["rig"].stop, dtype=bool)
     for part in parts:
         free[at[part]] = True
     return free
@@ -304,13 +339,14 @@ def solve_rig(
     lenses: tuple[str, str],
     known: Known = NOTHING_KNOWN,
     *,
-    warp: bool = False,
+    shape: str = "true",
 ) -> Calibration:
     """The rig that explains all views best.
 
     sizes  : (width, height) of each eye's pictures.
     lenses : lens model of each eye, names in `projection.LENSES`; those of `known.rig` where its lenses are kept.
-    warp   : also find how the board is bent (two numbers); only where held-out error says that it pays.
+    shape  : what may be wrong with the board itself: "true" nothing, "bent" two parabolas, "free" every corner; whether that
+             pays is for held-out error to say (`lens_choice.choose`).
     Raises : RigError where the views cannot give a rig, with what to shoot.
     """
     if known.rig is not None:
@@ -320,10 +356,13 @@ def solve_rig(
                 raise RigError(f"the {eye} pictures are {size[0]}x{size[1]}, but the rig's lens was calibrated at {known.rig.camera(eye).size}")
     state, placed = _joint_start(views, sizes, lenses, known)
     px = np.where(placed[:, :, None, None], views.px, np.nan)
-    parts = ["turn", "shift"] + ([] if known.rig is not None else ["left", "right"]) + (["warp"] if warp else [])
+    parts = ["turn", "shift"] + ([] if known.rig is not None else ["left", "right"])
     problem = _problem(views, lenses, px, views.sigma_px, _free(lenses, *parts), known, state)
     everything = fit(problem, state)
     robust, sigma = _robust_fit(problem, state)
+    if shape != "true":
+        robust, sigma = _shaped(robust, sigma, shape)
+    problem = robust.problem
     kept, outliers = _marked(problem, robust, sigma, tuple(views.names))
     trimmed = fit(replace(problem, weight=np.where(kept, problem.weight, 0.0)), robust.state)
     kept, outliers = _marked(problem, trimmed, robust_sigma(trimmed), tuple(views.names))  # once more, by the better rig
@@ -334,11 +373,11 @@ def solve_rig(
             f"view {outliers[0].name}: {outliers[0].reason}"
         )
     final, sigma, excess = _settled(replace(problem, weight=np.where(kept, problem.weight, 0.0)), trimmed.state)
-    shown = boards_placed(problem, final.state, sigma)
+    shown = boards_placed(problem, final.state, robust_sigma(trimmed))
     for e, eye in enumerate(EYES):
         for v in map(int, np.flatnonzero(start.usable(views.px[e]) & ~placed[e])):
             outliers += (Outlier(view=v, name=views.names[v], eye=eye, ids=(), error_px=float("nan"), reason="its corners fit no flat board"),)
-    state = final.state
+    state, names = final.state, shared_names(lenses)
     cameras: list[Camera] = [camera_of(i, lens, size) for i, lens, size in zip(state.intrinsics, lenses, sizes)]
     if known.rig is not None:
         cameras = [known.rig.left, known.rig.right]
@@ -359,8 +398,9 @@ def solve_rig(
         view_rms_before_px=_by_view(everything.residual_px),
         sigma_px=sigma,
         view_excess=excess,
-        covariance=covariance_of(final),
-        names=shared_names(lenses),
+        covariance=covariance_of(final)[: len(names), : len(names)],
+        board_m=board_points(final.problem, final.state),
+        names=names,
     )
 
 
@@ -369,30 +409,36 @@ def _by_view(residual_px: Float64) -> Float64:
 
 
 def _settled(problem: Problem, state: State) -> tuple[Fit, float, float]:
-    """The plain solution with weights in true sigmas, one sigma of a corner in pixels, and the views' excess scatter.
+    """The plain solution with weights in true sigmas, one sigma of a median corner in pixels, and the views' excess scatter.
 
     The corners' sigma comes from the residuals and the degrees of freedom.  Errors that a whole view shares (a board that
-    bends, a lens that no model fits) do not show there; they show in how far each view pulls the shared unknowns its own
-    way, so the excess of those pulls over what the corners' noise explains widens the answer."""
-    found = fit(problem, state)
-    freedom = 2 * int(problem.seen.sum()) - int(problem.free.sum()) - 6 * int(problem.seen.any(axis=(0, 2)).sum())
-    weighted = np.where(problem.seen[..., None], found.residual_px * problem.weight[..., None], 0.0)
-    sigma = max(float(np.sqrt((weighted**2).sum() / max(freedom, 1))), LEAST_SIGMA)
-    excess = view_excess(found, sigma)
-    scaled = replace(problem, weight=problem.weight / (sigma * excess))
-    return fit(scaled, found.state), sigma, excess
+    bends, a lens that no model fits) do not show there; they show in how far each view pulls the rig its own way, so the
+    excess of those pulls over what the corners' noise explains widens the answer."""
+    for _ in range(2):  # where there is prior knowledge its weight depends on the corners' sigma, and the other way round
+        found = fit(problem, state)
+        spent = float(np.trace(covariance_of(found) @ found.by_view.sum(axis=0)))
+        freedom = 2 * int(problem.seen.sum()) - spent - 6 * int(problem.seen.any(axis=(0, 2)).sum())
+        weighted = np.where(problem.seen[..., None], found.residual_px * problem.weight[..., None], 0.0)
+        sigma = max(float(np.sqrt((weighted**2).sum() / max(freedom, 1.0))), LEAST_SIGMA)
+        problem, state = replace(problem, weight=problem.weight / sigma), found.state
+    excess = view_excess(fit(problem, state))
+    sigma_px = float(1 / np.median(problem.weight[problem.seen]))
+    return fit(replace(problem, weight=problem.weight / excess), state), sigma_px, excess
 
 
-def view_excess(found: Fit, sigma: float) -> float:
-    """How much more the views' pulls scatter than the corners' noise says, as a factor on sigma; at least 1.
+def view_excess(found: Fit) -> float:
+    """How much more the views' pulls at the rig scatter than their corners' noise says, as a factor on sigma; at least 1.
 
-    With S = sum of the views' information S_v and slopes g_v, E[sum g_v' S^-1 g_v] = sigma^2 sum(tr L_v - tr L_v^2), L_v = S_v S^-1."""
-    free = found.problem.free
-    S = found.information[np.ix_(free, free)]
-    L = found.by_view[:, free][:, :, free] @ scaled_inverse(S)
-    pulls = float(np.einsum("vi,ij,vj->", found.slope[:, free], scaled_inverse(S), found.slope[:, free]))
-    expected = float(np.trace(L, axis1=1, axis2=2).sum() - np.einsum("vij,vji->", L, L)) * sigma**2
-    return max(1.0, float(np.sqrt(pulls / expected))) if expected > 0 else 1.0
+    Leaving view v out moves the unknowns by d_v = S^-1 g_v, to first order, where S = sum of the views' information S_v and g_v
+    are the slopes at the solution.  E[sum d_v d_v'] = sum(S^-1 S_v S^-1 - S^-1 S_v S^-1 S_v S^-1) for noise of sigma 1 alone."""
+    C = covariance_of(found)
+    rig = np.flatnonzero(found.problem.free[: shared_slices(found.problem.lenses)["rig"].stop])
+    moves = found.slope @ C[:, rig]
+    through = C[rig] @ found.by_view  # (V, rig, shared)
+    expected = (through @ C[:, rig]).sum(axis=0) - (through @ C @ found.by_view @ C[:, rig]).sum(axis=0)
+    measure = scaled_inverse(C[np.ix_(rig, rig)])
+    plain = float(np.trace(measure @ expected))
+    return max(1.0, float(np.sqrt(np.einsum("vi,ij,vj->", moves, measure, moves) / plain))) if plain > 0 else 1.0
 
 
 def scaled_inverse(A: Float64) -> Float64:
@@ -411,7 +457,7 @@ def covariance_of(found: Fit) -> Float64:
 
 
 def standard_errors(calibration: Calibration) -> dict[str, float]:
-    """One sigma of each shared unknown: pixels, lens parameters, degrees for `turn`, metres for `shift` and `warp`; and of the baseline."""
+    """One sigma of each shared unknown: pixels, lens parameters, degrees for `turn`, metres for `shift`; and of the baseline."""
     sigma = np.sqrt(np.maximum(np.diag(calibration.covariance), 0))
     out: dict[str, Any] = {n: float(np.degrees(s)) if n.startswith("turn") else float(s) for n, s in zip(calibration.names, sigma)}
     t = calibration.rig.t_right_left_m
