@@ -127,7 +127,7 @@ def rate_of(table: PacketTable, stream: Any, name: str) -> tuple[Fraction, tuple
         first = int(odd[0])
         seconds = float(steps[first] * tick)
         raise PlateError(
-            f"{name}: has a variable frame rate: {count} of {len(steps)} frames do not last 1/{rate} s, the first is frame {first} with {seconds:.4f} s; "
+            f"{name}: has a variable frame rate: {count} of {len(steps)} frames do not last 1/{rate} s, first frame {first} with {seconds:.4f} s; "
             "conform it to a constant rate first (ffmpeg -fps_mode cfr), and check that the eyes stay together"
         )
     return rate, tuple(int(k) for k in odd)

@@ -45,17 +45,22 @@ PRIMARIES: Mapping[int, str] = MappingProxyType(
 )
 TRANSFERS: Mapping[int, str] = MappingProxyType(
     {
-        **{1: "bt709", 4: "gamma2.2", 5: "gamma2.8", 6: "smpte170m", 7: "smpte240m", 8: "linear", 9: "log100", 10: "log316"},
-        **{
-            11: "iec61966-2-4",
-            12: "bt1361e",
-            13: "iec61966-2-1",
-            14: "bt2020-10",
-            15: "bt2020-12",
-            16: "smpte2084",
-            17: "smpte428",
-            18: "arib-std-b67",
-        },
+        1: "bt709",
+        4: "gamma2.2",
+        5: "gamma2.8",
+        6: "smpte170m",
+        7: "smpte240m",
+        8: "linear",
+        9: "log100",
+        10: "log316",
+        11: "iec61966-2-4",
+        12: "bt1361e",
+        13: "iec61966-2-1",
+        14: "bt2020-10",
+        15: "bt2020-12",
+        16: "smpte2084",
+        17: "smpte428",
+        18: "arib-std-b67",
     }
 )
 
@@ -63,10 +68,20 @@ _PLANAR = re.compile(r"(?:yuv(?P<full>j?)a?(?P<chroma>444|422|420|440)p|(?P<grey
 # Packed RGB by name: where R, G, B stand in a pixel, samples a pixel, bits.
 _PACKED: Mapping[str, tuple[tuple[int, int, int], int, int]] = MappingProxyType(
     {
-        **{"rgb24": ((0, 1, 2), 3, 8), "bgr24": ((2, 1, 0), 3, 8), "rgb0": ((0, 1, 2), 4, 8), "bgr0": ((2, 1, 0), 4, 8)},
-        **{"rgba": ((0, 1, 2), 4, 8), "bgra": ((2, 1, 0), 4, 8), "0rgb": ((1, 2, 3), 4, 8), "0bgr": ((3, 2, 1), 4, 8)},
-        **{"argb": ((1, 2, 3), 4, 8), "abgr": ((3, 2, 1), 4, 8)},
-        **{"rgb48le": ((0, 1, 2), 3, 16), "bgr48le": ((2, 1, 0), 3, 16), "rgba64le": ((0, 1, 2), 4, 16), "bgra64le": ((2, 1, 0), 4, 16)},
+        "rgb24": ((0, 1, 2), 3, 8),
+        "bgr24": ((2, 1, 0), 3, 8),
+        "rgb0": ((0, 1, 2), 4, 8),
+        "bgr0": ((2, 1, 0), 4, 8),
+        "rgba": ((0, 1, 2), 4, 8),
+        "bgra": ((2, 1, 0), 4, 8),
+        "0rgb": ((1, 2, 3), 4, 8),
+        "0bgr": ((3, 2, 1), 4, 8),
+        "argb": ((1, 2, 3), 4, 8),
+        "abgr": ((3, 2, 1), 4, 8),
+        "rgb48le": ((0, 1, 2), 3, 16),
+        "bgr48le": ((2, 1, 0), 3, 16),
+        "rgba64le": ((0, 1, 2), 4, 16),
+        "bgra64le": ((2, 1, 0), 4, 16),
     }
 )
 

@@ -1,0 +1,281 @@
+"""Movies that the test writes itself come back frame for frame: right frame, right values, right time code, in any order."""
+
+from __future__ import annotations
+
+import pickle
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stereorelight.errors import PlateError
+from stereorelight.footage.movie.pixels import layout_of
+from stereorelight.footage.movie.reader import Movie, movie_streams
+from stereorelight.footage.movie.timecode import Timecode
+from stereorelight.footage.ycbcr import planes_from_rgb, rgb_from_planes
+from tests.movie_files import LOSSLESS, LOSSY, write_movie
+
+SIZE = (64, 48)
+
+
+def picture(number: int, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """A smooth picture (H, W, 3) that no other number has, grey to the left."""
+    w, h = size
+    y, x = np.mgrid[0:h, 0:w].astype(np.float32)
+    ramp = 0.2 + 0.5 * x / w
+    tint = np.where(x > w / 2, 0.15 * y / h, 0)
+    return np.dstack([ramp + tint, ramp, ramp - tint]).astype(np.float32) + np.float32(0.01 * (number % 10))
+
+
+def planes_for(pixel_format: str, number: int, *, matrix: str = "bt709", full: bool = False, size: tuple[int, int] = SIZE) -> list[np.ndarray]:
+    """Planes as the pixel format wants them, in the decoder's order."""
+    layout = layout_of(pixel_format)
+    assert layout is not None
+    rgb = picture(number, size)
+    if layout.is_rgb:
+        r, g, b = planes_from_rgb(rgb, bits=layout.bits, full_range=True, matrix="rgb", subsampling="444")
+        if layout.packed:
+            return [np.dstack([b, g, r, np.zeros_like(r)]).reshape(size[1], -1)]
+        return [g, b, r]
+    kind = {(False, False): "444", (False, True): "422", (True, True): "420"}[layout.halved]
+    return list(planes_from_rgb(rgb, bits=layout.bits, full_range=full, matrix=matrix, subsampling=kind))
+
+
+def expected(pixel_format: str, number: int, *, matrix: str = "bt709", full: bool = False) -> np.ndarray:
+    """What reading must give, from the planes themselves."""
+    layout = layout_of(pixel_format)
+    assert layout is not None
+    planes = planes_for(pixel_format, number, matrix=matrix, full=full)
+    if layout.packed:
+        planes = [planes[0][:, k :: layout.packed] for k in (2, 1, 0)]
+    elif layout.is_rgb:
+        planes = [planes[k] for k in (2, 0, 1)]
+    return rgb_from_planes(planes, bits=layout.bits, full_range=full or layout.is_rgb, matrix="rgb" if layout.is_rgb else matrix)
+
+
+@pytest.mark.parametrize("name", LOSSLESS)
+def test_lossless_codecs_come_back_bit_for_bit(name: str, tmp_path: Path) -> None:
+    kind = LOSSLESS[name]
+    path = tmp_path / ("m.mkv" if name.startswith("ffv1") else "m.mov")
+    write_movie(path, [planes_for(kind[1], k) for k in range(5)], SIZE, kind, tags=("bt709", False) if "yuv" in kind[1] else None)
+    with Movie(path) as movie:
+        assert (movie.info.frames, movie.info.size, movie.info.rate) == (5, SIZE, 25)
+        for k in range(5):
+            np.testing.assert_array_equal(movie.read(k), expected(kind[1], k))
+
+
+@pytest.mark.parametrize(("name", "suffix"), [*[(name, ".mov") for name in LOSSY], ("dnxhr-10", ".mxf"), ("prores422", ".mkv")])
+def test_camera_codecs_come_back_within_their_quantum(name: str, suffix: str, tmp_path: Path) -> None:
+    kind = LOSSY[name]
+    size = (256, 128)
+    path = write_movie(tmp_path / f"m{suffix}", [planes_for(kind[1], k, size=size) for k in range(3)], size, kind, tags=("bt709", False))
+    with Movie(path) as movie:
+        bits = layout_of(kind[1]).bits  # type: ignore[union-attr]
+        quantum = 1 / (219 * 2 ** (bits - 8))
+        for k in range(3):
+            error = np.abs(movie.read(k)[..., 1] - picture(k, size)[..., 1])
+            assert np.median(error) <= 2 * quantum  # the codec's own loss on a gradient, and our rounding
+            assert error.max() <= 8 * quantum + 0.004
+
+
+@pytest.mark.parametrize("name", ["h264-10", "ffv1-422-10", "prores422", "prores4444", "dnxhr-10"])
+def test_white_and_black_are_exact(name: str, tmp_path: Path) -> None:
+    kind = {**LOSSLESS, **LOSSY}[name]
+    layout = layout_of(kind[1])
+    assert layout is not None
+    h, w = (-(-n // 2) if half else n for n, half in zip((128, 256), layout.halved))
+    flat = [[np.full((128, 256), y, np.uint16), *[np.full((h, w), 512, np.uint16)] * 2] for y in (940, 64)]
+    path = write_movie(tmp_path / ("m.mkv" if "ffv1" in name else "m.mov"), flat, (256, 128), kind, tags=("bt709", False))
+    with Movie(path) as movie:
+        # A 12 bit decoder of ProRes may land one of its own quanta beside.
+        slack = 1 / 3504 if movie.info.bits == 12 else 0
+        assert np.abs(movie.read(0) - 1).max() <= slack
+        assert np.abs(movie.read(1)).max() <= slack
+
+
+@pytest.mark.parametrize("matrix", ["bt601", "bt709", "bt2020"])
+@pytest.mark.parametrize("full", [False, True])
+def test_tags_decide_and_can_be_overruled(matrix: str, full: bool, tmp_path: Path) -> None:
+    kind = LOSSLESS["h264-10"]
+    path = write_movie(tmp_path / "m.mov", [planes_for(kind[1], 1, matrix=matrix, full=full)], SIZE, kind, tags=(matrix, full))
+    with Movie(path) as movie:
+        assert (movie.info.matrix, movie.info.full_range) == (matrix, full)
+        np.testing.assert_array_equal(movie.read(0), expected(kind[1], 1, matrix=matrix, full=full))
+    with Movie(path, matrix="bt709", levels="video") as movie:
+        assert (movie.info.matrix, movie.info.full_range) == ("bt709", False)
+
+
+def test_untagged_goes_by_size(tmp_path: Path) -> None:
+    kind = LOSSLESS["ffv1-8"]
+    for size, matrix in ((SIZE, "bt601"), ((1280, 720), "bt709")):
+        path = write_movie(tmp_path / f"{matrix}.mkv", [planes_for(kind[1], 0, size=size)], size, kind)
+        assert (Movie(path).info.matrix, Movie(path).info.full_range) == (matrix, False)
+
+
+@pytest.fixture(scope="module")
+def long_gop(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    kind = ("libx264", "yuv420p", {"qp": "12", "bf": "3", "g": "15", "x264-params": "open-gop=1:b-pyramid=normal:scenecut=0"})
+    rng = np.random.default_rng(3)
+    frames = [[np.roll(p, k, axis=1) for p in planes_for("yuv420p", 0)] for k in range(50)]
+    for planes in frames:
+        planes[0][10:20] = rng.integers(16, 235, planes[0][10:20].shape)
+    return write_movie(tmp_path_factory.mktemp("gop") / "gop.mov", frames, SIZE, kind, tags=("bt709", False), timecode="00:59:59:20")
+
+
+def test_any_order_gives_the_same_bits(long_gop: Path) -> None:
+    with Movie(long_gop, threads=1) as movie:
+        straight = [movie.read(k) for k in range(movie.info.frames)]
+    assert len(straight) == 50
+    assert len({frame.tobytes() for frame in straight}) == 50
+    order = np.random.default_rng(1).permutation(50)
+    for threads in (1, 4):
+        with Movie(long_gop, threads=threads) as movie:
+            for k in [*order, 49, 0, 0, 48, 14, 15, 16]:
+                np.testing.assert_array_equal(movie.read(int(k)), straight[k], err_msg=f"frame {k}")
+
+
+def test_reading_on_never_seeks(long_gop: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Movie(long_gop) as movie:
+        calls: list[int] = []
+        packets = movie._packets_from
+        movie.read(0)
+        monkeypatch.setattr(movie, "_packets_from", lambda key: calls.append(key) or packets(key))
+        for k in range(50):
+            movie.read(k)
+        assert calls == []
+
+
+def test_time_code_rate_and_pickle(long_gop: Path) -> None:
+    movie = Movie(long_gop)
+    assert str(movie.info.timecode(0)) == "00:59:59:20"
+    assert str(movie.info.timecode(5)) == "01:00:00:00"
+    again = pickle.loads(pickle.dumps(movie))
+    np.testing.assert_array_equal(again.read(7), movie.read(7))
+
+
+def test_ntsc_rate_is_exact_and_drop_frame_is_kept(tmp_path: Path) -> None:
+    kind = LOSSY["prores422"]
+    for suffix in (".mov", ".mkv"):
+        rate = Fraction(30000, 1001)
+        path = write_movie(
+            tmp_path / f"m{suffix}",
+            [planes_for(kind[1], k) for k in range(12)],
+            SIZE,
+            kind,
+            rate=rate,
+            timecode="01:00:59;28" if suffix == ".mov" else None,
+        )
+        info = Movie(path).info
+        assert (info.rate, info.gaps, info.frames) == (rate, (), 12)
+        if suffix == ".mov":
+            assert str(info.timecode(2)) == "01:01:00;02"
+
+
+def test_dropped_frames_are_told_and_a_variable_rate_refused(tmp_path: Path) -> None:
+    kind = LOSSLESS["h264-8"]
+    frames = [planes_for(kind[1], k) for k in range(30)]
+    dropped = write_movie(tmp_path / "d.mov", frames, SIZE, kind, steps=[k + (k > 10) for k in range(30)])
+    assert Movie(dropped).info.gaps == (10,)
+    uneven = write_movie(tmp_path / "v.mov", frames, SIZE, kind, steps=np.cumsum([1 + k % 2 for k in range(30)]).tolist())
+    with pytest.raises(PlateError, match=r"variable frame rate.*first frame \d"):
+        Movie(uneven).read(0)
+
+
+def test_two_tracks(tmp_path: Path) -> None:
+    kind = LOSSY["prores422"]
+    path = write_movie(tmp_path / "two.mov", [planes_for(kind[1], k) for k in range(3)], SIZE, kind, streams=2)
+    assert [info.stream for info in movie_streams(path)] == [0, 1]
+    with Movie(path, stream=0) as left, Movie(path, stream=1) as right:
+        np.testing.assert_array_equal(left.read(2), right.read(2))
+    with pytest.raises(PlateError, match=r"no video stream 2; there is 0 \(prores 64 x 48\), 1"):
+        Movie(path, stream=2).read(0)
+
+
+@pytest.mark.parametrize(("name", "suffix"), [("h264-8", ".mkv"), ("prores422", ".mov"), ("ffv1-422-10", ".mkv"), ("h265-8", ".mkv")])
+def test_a_truncated_movie_keeps_its_good_frames(name: str, suffix: str, tmp_path: Path) -> None:
+    kind = {**LOSSLESS, **LOSSY}[name]
+    rng = np.random.default_rng(5)
+    frames = [planes_for(kind[1], k) for k in range(24)]
+    for planes in frames:
+        planes[0][:] = rng.integers(100, 200, planes[0].shape)
+    path = write_movie(tmp_path / f"whole{suffix}", frames, SIZE, kind, tags=("bt709", False))
+    data = path.read_bytes()
+    if suffix == ".mov":  # the index stands behind the pictures: cut a hole instead, as a broken copy has one
+        data = data[: len(data) // 2] + bytes(len(data) // 8) + data[len(data) // 2 + len(data) // 8 :]
+    else:
+        data = data[: int(0.6 * len(data))]
+    cut = tmp_path / f"cut{suffix}"
+    cut.write_bytes(data)
+    whole, part = Movie(path), Movie(cut)
+    good = 0
+    problem = ""
+    while good < 24 and not problem:
+        try:
+            found = part.read(good)
+        except PlateError as error:
+            problem = str(error)
+        else:
+            np.testing.assert_array_equal(found, whole.read(good))
+            good += 1
+    assert f"frame {good}" in problem
+    assert "\n" not in problem
+    assert 6 <= good < 24
+    np.testing.assert_array_equal(part.read(3), whole.read(3))
+
+
+def test_what_is_no_movie(tmp_path: Path) -> None:
+    text = tmp_path / "a.mov"
+    text.write_text("no movie " * 500)
+    sound = tmp_path / "sound.wav"
+    with av.open(str(sound), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000)
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
+        frame.rate = 8000
+        for packet in [*stream.encode(frame), *stream.encode(None)]:
+            container.mux(packet)
+    for path, words in ((text, "is no movie"), (sound, "no video stream"), (tmp_path / "none.mov", "no such file"), (tmp_path, "folder")):
+        with pytest.raises(PlateError, match=words) as caught:
+            Movie(path).read(0)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(PlateError, match="did you mean"):
+        Movie(text, matrix="bt708")
+
+
+@pytest.mark.parametrize("pixel_format", ["pal8", "bayer_rggb8", "gray16be", "gbrpf32le", "yuv411p"])
+def test_odd_pixel_formats_have_no_layout(pixel_format: str) -> None:
+    assert layout_of(pixel_format) is None
+
+
+def test_a_frame_beyond_the_end(long_gop: Path) -> None:
+    with pytest.raises(PlateError, match="has no frame 50; it has frames 0-49"):
+        Movie(long_gop).read(50)
+
+
+RATES = [Fraction(24), Fraction(25), Fraction(24000, 1001), Fraction(30000, 1001), Fraction(60000, 1001), Fraction(120)]
+
+
+@given(st.sampled_from(RATES), st.integers(0, 5_000_000), st.booleans())
+@settings(max_examples=50, deadline=None)
+def test_time_code_text_is_the_frame(rate: Fraction, frames: int, drop: bool) -> None:
+    drop = drop and rate.denominator == 1001 and rate > 29
+    code = Timecode(frames=frames, rate=rate, drop=drop)
+    assert Timecode.parse(str(code), rate) == code
+    assert (code + 7) - code in (7, 7 - code._day())
+    assert str(code + 1) != str(code)
+
+
+def test_drop_frame_by_the_standard() -> None:
+    rate = Fraction(30000, 1001)
+    assert str(Timecode.parse("01:00:59;29", rate) + 1) == "01:01:00;02"
+    assert str(Timecode.parse("01:09:59;29", rate) + 1) == "01:10:00;00"
+    assert Timecode.parse("01:00:00;00", rate).frames == 107892
+    assert abs(Timecode.parse("23:59:59;29", rate).seconds - 86400) < Fraction(1, 8)
+    for wrong in ("01:01:00;00", "01:00:00:30", "25:00:00:00", "1:2", "ab"):
+        with pytest.raises(PlateError):
+            Timecode.parse(wrong, rate)
+    with pytest.raises(PlateError, match="drop-frame"):
+        Timecode.parse("01:00:00;00", Fraction(25))
