@@ -308,7 +308,7 @@ def _pairs(left: Float32, right: Float32, disparity: Any, matches: Any) -> tuple
         L, R, places = _pairs_by_disparity(left_small, right_small, d, left_open, right_open)
     bright = np.quantile(L.max(axis=1), 0.99) if len(L) else 0.0
     ceiling = np.quantile(R.max(axis=1), 0.99) if len(R) else 0.0
-    lit = (L > DEEPEST * bright).all(axis=1) & (R > DEEPEST * ceiling).all(axis=1) if len(L) else np.zeros(0, bool)
+    lit = (DEEPEST * bright < L).all(axis=1) & (DEEPEST * ceiling < R).all(axis=1) if len(L) else np.zeros(0, bool)
     return L[lit], R[lit], places[lit], size
 
 
