@@ -40,7 +40,8 @@ def test_range_says_near_far_and_behind() -> None:
     Z = np.random.default_rng(0).uniform(1.2, 3.0, 4000)
     d = RIG.disparity_from_depth(Z).astype(np.float32)
     clean = measure_range(d, RIG, near_m=1.0, far_m=4.0)
-    assert clean.nearest_m == pytest.approx(1.2, rel=0.02) and clean.farthest_m == pytest.approx(3.0, rel=0.02)
+    assert clean.nearest_m == pytest.approx(1.2, rel=0.02)
+    assert clean.farthest_m == pytest.approx(3.0, rel=0.02)
     assert judge_range([clean], near_m=1.0, far_m=4.0).level == "good"
     assert judge_range([measure_range(d, RIG, near_m=1.5)], near_m=1.5).level == "bad"
     assert judge_range([measure_range(-d, RIG)]).level == "bad"

@@ -206,7 +206,7 @@ def judge_sync(measure: SyncMeasure) -> Finding:
         whole = measure.whole_frames
         if whole:
             side, other = ("late", "left") if whole > 0 else ("early", "right")
-            words = f"The right camera is about {abs(whole)} frame{'s' * (abs(whole) > 1)} {side} (from what changes in the picture); the fraction cannot be known."
+            words = f"The right camera is about {abs(whole)} frame{'s' * (abs(whole) > 1)} {side} (by what changes); the fraction cannot be known."
             remedy = f"Start the {'right' if whole > 0 else 'left'} eye {abs(whole)} frames later in its file, and check again; {other} stays."
             return Finding(name="sync", level="bad", value=float(whole), unit="frames", words=words, remedy=remedy, details=details)
         if measure.frames < SHORTEST:

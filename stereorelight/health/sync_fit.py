@@ -349,7 +349,7 @@ def _evidence(block: _Block) -> _Evidence | None:
     return _Evidence(
         weight=power * over,
         push=float((weight * sight * speed).sum()) * over,
-        by_cell=np.bincount(cells, weight * sight * speed) * over,
-        by_cell_weight=np.bincount(cells, weight * speed * speed) * over,
+        by_cell=np.asarray(np.bincount(cells, weight * sight * speed) * over, np.float64),
+        by_cell_weight=np.asarray(np.bincount(cells, weight * speed * speed) * over, np.float64),
         rows=block.rows,
     )

@@ -116,7 +116,7 @@ def field_stops(field: Float64, width: int, height: int) -> Float32:
 
 def _usable(plate: Float32) -> tuple[Float32, Bool]:
     """The plate with 0 for what is unknown, and where each pixel is neither unknown nor clipped."""
-    known = np.isfinite(plate).all(axis=-1)
+    known: Bool = np.isfinite(plate[..., 0] + plate[..., 1] + plate[..., 2])
     filled = np.where(known[..., None], plate, np.float32(0))
     open_ = known
     for c in range(3):
