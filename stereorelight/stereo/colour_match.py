@@ -25,6 +25,7 @@ Mode = Literal["global", "local"]
 MODES = ("global", "local")
 SMALL_WIDTH = 480  # pixels of the copy that is compared: grain and a quarter pixel of error average out, an edge still is one
 LEAST_PAIRS = 200
+MOST_PAIRS = 20_000
 DEEPEST = 0.004  # of the brightest 1 %: darker than this is black level and grain, and its ratio says nothing
 CLIPPED_SHARE = 2e-4  # of the frame: so much ground at the very top is a ceiling and not a highlight
 FLAT_PX = 1.0  # disparity that varies more than this over 3 pixels of the copy is an edge, where colours mix
@@ -309,7 +310,8 @@ def _pairs(left: Float32, right: Float32, disparity: Any, matches: Any) -> tuple
     bright = np.quantile(L.max(axis=1), 0.99) if len(L) else 0.0
     ceiling = np.quantile(R.max(axis=1), 0.99) if len(R) else 0.0
     lit = (DEEPEST * bright < L).all(axis=1) & (DEEPEST * ceiling < R).all(axis=1) if len(L) else np.zeros(0, bool)
-    return L[lit], R[lit], places[lit], size
+    step = max(1, int(lit.sum()) // MOST_PAIRS)  # an even sample fits as well as all of them
+    return L[lit][::step], R[lit][::step], places[lit][::step], size
 
 
 def match_colour(
