@@ -52,14 +52,19 @@ def _matrix(n, luma, blue, red, r_cr, g_cb, g_cr, b_cb, r, g, b):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _curve(n, table, low, per_step, last, row):
-    """`row` through a curve sampled evenly; beyond its ends the outer steps go on straight."""
+def _curve(n, table, rises, low, per_step, row, steps):
+    """`row` through a curve sampled evenly; beyond its ends the outer steps go on straight.  `steps` is scratch."""
+    last = f4(rises.shape[0] - 1)
+    # Two loops, since the first becomes vector code and the look-up cannot.
     for i in range(n):
         t = (row[i] - low) * per_step
-        k = np.int32(t if t > f4(0) else f4(0))
-        k = k if k < last else last
-        a = table[k]
-        row[i] = a + (t - f4(k)) * (table[k + 1] - a)
+        inside = t if t > f4(0) else f4(0)
+        k = np.int32(inside if inside < last else last)
+        steps[i] = k
+        row[i] = t - f4(k)
+    for i in range(n):
+        k = np.uint32(steps[i])
+        row[i] = table[k] + row[i] * rises[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -81,12 +86,11 @@ def _interleaved_matrix(n, r, g, b, m, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _finished(n, r, g, b, table, low, per_step, m, out):
+def _finished(n, r, g, b, table, rises, low, per_step, m, steps, out):
     if table.shape[0] > 1:
-        last = np.int32(table.shape[0] - 2)
-        _curve(n, table, low, per_step, last, r)
-        _curve(n, table, low, per_step, last, g)
-        _curve(n, table, low, per_step, last, b)
+        _curve(n, table, rises, low, per_step, r, steps)
+        _curve(n, table, rises, low, per_step, g, steps)
+        _curve(n, table, rises, low, per_step, b, steps)
     if m.shape[0] == 3:
         _interleaved_matrix(n, r, g, b, m, out)
     else:
@@ -112,32 +116,32 @@ def _chroma(y, n, plane, rows, halved, above, below, before, after, zero, span, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _from_ycbcr(first, end, luma, blue, red, halved, siting, zeros, spans, weights, table, low, per_step, m, out):
+def _from_ycbcr(first, end, luma, blue, red, halved, siting, zeros, spans, weights, table, rises, low, per_step, m, out):
     W = out.shape[1] // 3
     H = out.shape[0]
     n = (W + 1) // 2 if halved[1] else W
     rows = (H + 1) // 2 if halved[0] else H
     room = W + 4
     line, l, cb, cr = np.empty(room, f4), np.empty(room, f4), np.empty(room, f4), np.empty(room, f4)
-    r, g, b = np.empty(room, f4), np.empty(room, f4), np.empty(room, f4)
+    r, g, b, steps = np.empty(room, f4), np.empty(room, f4), np.empty(room, f4), np.empty(room, np.int32)
     above, below, before, after = siting
     for y in range(first, end):
         _level(W, luma[y], zeros[0], spans[0], l)
         _chroma(y, n, blue, rows, halved, above, below, before, after, zeros[1], spans[1], line, cb)
         _chroma(y, n, red, rows, halved, above, below, before, after, zeros[1], spans[1], line, cr)
         _matrix(W, l, cb, cr, weights[0], weights[1], weights[2], weights[3], r, g, b)
-        _finished(W, r, g, b, table, low, per_step, m, out[y])
+        _finished(W, r, g, b, table, rises, low, per_step, m, steps, out[y])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _from_rgb(first, end, red, green, blue, zero, span, table, low, per_step, m, out):
+def _from_rgb(first, end, red, green, blue, zero, span, table, rises, low, per_step, m, out):
     W = out.shape[1] // 3
-    r, g, b = np.empty(W, f4), np.empty(W, f4), np.empty(W, f4)
+    r, g, b, steps = np.empty(W, f4), np.empty(W, f4), np.empty(W, f4), np.empty(W, np.int32)
     for y in range(first, end):
         _level(W, red[y], zero, span, r)
         _level(W, green[y], zero, span, g)
         _level(W, blue[y], zero, span, b)
-        _finished(W, r, g, b, table, low, per_step, m, out[y])
+        _finished(W, r, g, b, table, rises, low, per_step, m, steps, out[y])
 
 
 NO_TABLE, NO_MATRIX = np.zeros(1, np.float32), np.zeros((1, 3), np.float32)
@@ -168,20 +172,21 @@ def planes_to_rgb(
     if curve is not None:
         table = np.ascontiguousarray(curve[2], np.float32)
         low, per_step = f4(curve[0]), f4((len(table) - 1) / (curve[1] - curve[0]))
+    rises = np.diff(table)
     m = NO_MATRIX if matrix is None else np.ascontiguousarray(matrix, np.float32)
     flat = out.reshape(out.shape[0], -1)
     black, white, neutral, chroma = (f4(v) for v in levels)
     if weights is None:
 
         def run(first: int, end: int) -> None:
-            _from_rgb(first, end, *planes, black, white, table, low, per_step, m, flat)
+            _from_rgb(first, end, *planes, black, white, table, rises, low, per_step, m, flat)
     else:
         sides = tuple(f4(v) for v in siting)
         factors = tuple(f4(v) for v in weights)
 
         def run(first: int, end: int) -> None:
             zeros, spans = (black, neutral), (white, chroma)
-            _from_ycbcr(first, end, *planes, halved, sides, zeros, spans, factors, table, low, per_step, m, flat)
+            _from_ycbcr(first, end, *planes, halved, sides, zeros, spans, factors, table, rises, low, per_step, m, flat)
 
     in_row_blocks(run, out.shape[0], block_rows=BLOCK_ROWS)
     return out
