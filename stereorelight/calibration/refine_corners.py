@@ -14,7 +14,7 @@ from stereorelight.arrays import Bool, Float32, Float64
 from stereorelight.calibration.board import APRILGRID_BORDER_BITS, Board
 from stereorelight.engine.corners import fit_corners
 
-REACH = {"chessboard": 0.55, "charuco": 0.55, "aprilgrid": 0.27}  # half the window, in squares
+REACH = {"chessboard": 0.75, "charuco": 0.75, "aprilgrid": 0.27}  # half the window, in squares
 FIRST_REACH = {"chessboard": 0.38, "charuco": 0.3, "aprilgrid": 0.24}
 MOST_RADIUS_PX = 24.0  # a wider window costs more than it tells
 CUBIC_FROM, QUADRATIC_FROM = 24, 12  # corners that carry the lens's bend
@@ -114,7 +114,15 @@ def clean_depths(board: Board, ids: np.ndarray) -> Float64:
 
 
 def refine_corners(
-    grey: Float32, board: Board, ids: np.ndarray, px: Float64, *, reach: float | None = None, low: float = 0.0, high: float = 255.0, furthest_px: float = 2.5
+    grey: Float32,
+    board: Board,
+    ids: np.ndarray,
+    px: Float64,
+    *,
+    reach: float | None = None,
+    low: float = 0.0,
+    high: float = 255.0,
+    furthest_px: float = 2.5,
 ) -> Refined:
     """Every corner fitted to the picture.  Where a fit does not settle the detector's corner stays, with sigma NaN.
 
@@ -128,11 +136,22 @@ def refine_corners(
     fixed = {"low": low + CLIP_LEVELS, "high": high - CLIP_LEVELS, "most_radius_px": MOST_RADIUS_PX}
     shapes, bends = local_shapes(board, ids, px)
     pitch = float(np.median(1 / np.linalg.norm(shapes, axis=2)))
-    fit = fit_corners(grey, px, shapes, 0 * bends, depths, blur=(1.0, 1.0), margin_px=1.5, reach=max(near, 4.5 / pitch), furthest_px=furthest_px, **fixed)
+    fit = fit_corners(
+        grey, px, shapes, 0 * bends, depths, blur=(1.0, 1.0), margin_px=1.5, reach=max(near, 4.5 / pitch), furthest_px=furthest_px, **fixed
+    )
     good = np.isfinite(fit[:, 0])
     if good.sum() < 4:
         nothing = np.full(len(px), np.nan)
-        return Refined(px=px, sigma_px=nothing, refined=good & False, blur_px=(np.nan, np.nan), motion_px=(0, 0), contrast=np.nan, bright_first=0 * nothing, rms=np.nan)
+        return Refined(
+            px=px,
+            sigma_px=nothing,
+            refined=good & False,
+            blur_px=(np.nan, np.nan),
+            motion_px=(0, 0),
+            contrast=np.nan,
+            bright_first=0 * nothing,
+            rms=np.nan,
+        )
     now = _sane(board, ids, px, fit)
     s1, s2 = np.nanmedian(fit[:, 7]), np.nanmedian(fit[:, 8])
     motion = (0.0, 0.0)
@@ -144,17 +163,32 @@ def refine_corners(
         shapes, bends = local_shapes(board, ids, now)
         margin = 1.3 * max(blur) + 0.5 + 0.4 * float(np.hypot(*motion))
         # The next edges stand one square away: their blur must stay out of the window.
-        here = min(wide, max(near, 1 - margin / pitch)) if board.kind != "aprilgrid" else wide
+        clear = 1.0 if board.spacing is None else board.spacing
+        here = min(wide, max(0.7 * near, clear - margin / pitch))
         fit = fit_corners(
-            grey, now, shapes, bends, depths, blur=blur, motion=motion, margin_px=margin, reach=max(here, 4.5 / pitch), furthest_px=furthest_px, **fixed
+            grey,
+            now,
+            shapes,
+            bends,
+            depths,
+            blur=blur,
+            motion=motion,
+            margin_px=margin,
+            reach=max(here, 4.5 / pitch),
+            furthest_px=furthest_px,
+            **fixed,
         )
         now = _sane(board, ids, px, fit)
     good = np.isfinite(fit[:, 0]) & (np.abs(now - fit[:, :2]).max(axis=1) == 0)
     if not good.any():
         nothing = np.full(len(px), np.nan)
-        return Refined(px=px, sigma_px=nothing, refined=good, blur_px=(np.nan, np.nan), motion_px=(0, 0), contrast=np.nan, bright_first=0 * nothing, rms=np.nan)
+        return Refined(
+            px=px, sigma_px=nothing, refined=good, blur_px=(np.nan, np.nan), motion_px=(0, 0), contrast=np.nan, bright_first=0 * nothing, rms=np.nan
+        )
     s = np.median(fit[good, 7]) / np.sqrt(2), np.median(fit[good, 8]) / np.sqrt(2)
-    path = np.median(fit[good, 14:16] * np.sign(fit[good, 14:16] @ np.array(motion) + 1e-300)[:, None], axis=0) if motion != (0.0, 0.0) else np.zeros(2)
+    path = (
+        np.median(fit[good, 14:16] * np.sign(fit[good, 14:16] @ np.array(motion) + 1e-300)[:, None], axis=0) if motion != (0.0, 0.0) else np.zeros(2)
+    )
     along = float(np.sqrt(max(s) ** 2 + path @ path / 12))
     return Refined(
         px=np.where(good[:, None], fit[:, :2], px),
@@ -169,7 +203,17 @@ def refine_corners(
 
 
 def _motion(
-    grey: Float32, px: Float64, shapes: Float64, bends: Float64, depths: Float64, s1: float, s2: float, near: float, plain: Float64, furthest_px: float, fixed: dict[str, float]
+    grey: Float32,
+    px: Float64,
+    shapes: Float64,
+    bends: Float64,
+    depths: Float64,
+    s1: float,
+    s2: float,
+    near: float,
+    plain: Float64,
+    furthest_px: float,
+    fixed: dict[str, float],
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """The exposure's path and the blur besides it, where a path explains the corners better than blur alone; else zero."""
     n1, n2 = (np.median(shapes[:, k] / np.linalg.norm(shapes[:, k], axis=1, keepdims=True), axis=0) for k in (0, 1))
@@ -180,7 +224,17 @@ def _motion(
     for sign in (1, -1):
         path = np.linalg.solve(np.stack([n1, n2]), [m1, sign * m2])
         fit = fit_corners(
-            grey, px, shapes, bends, depths, blur=(rest, rest), motion=(float(path[0]), float(path[1])), margin_px=1.5, reach=near, furthest_px=furthest_px, **fixed
+            grey,
+            px,
+            shapes,
+            bends,
+            depths,
+            blur=(rest, rest),
+            motion=(float(path[0]), float(path[1])),
+            margin_px=1.5,
+            reach=near,
+            furthest_px=furthest_px,
+            **fixed,
         )
         both = np.isfinite(fit[:, 18]) & np.isfinite(plain[:, 18])
         if both.sum() < 4:
