@@ -5,8 +5,8 @@ Frames: camera frames (x right, y down, z forward); the board's frame has z = 0 
 
 The unknowns fall into those that all views share (two lenses, the pose between the eyes, the board's own shape) and six for
 each view.  A view's six meet no other view's, so they are eliminated view by view (Schur complement), and what is left
-to solve has some thirty unknowns whatever the number of views, and three more for each corner of a board that is not true.  Rotations are updated on the left, R <- exp(w) R, so
-that standard errors of w are angles about the camera's own axes."""
+to solve has some thirty unknowns whatever the number of views, and three more for each corner of a board that is not true.
+Rotations are updated on the left, R <- exp(w) R, so that standard errors of w are angles about the camera's own axes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stereorelight.calibration.projection import checked_lens, project, rotation
 
 POSE = 6  # unknowns of a view, and of the pose between the eyes: turn, then shift
 STEPS = 60
-CONVERGED = 1e-10  # relative fall of the cost below which a solve has ended
+CONVERGED = 1e-8  # relative fall of the cost below which a solve has ended
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,7 +32,7 @@ class Problem:
     lenses    : names in `projection.LENSES`, left and right.
     free      : (shared,) which shared unknowns may move; see `shared_slices`.
     expected  : (shared,) prior values of the shared unknowns, used where `expected_sigma` is finite.
-    basis     : (K, n, 3) the ways in which the board may differ from `points_m`; see `shape_basis`.
+    free_board: whether each corner may stray from `points_m`, held near it by a prior only; 3 n more shared unknowns then.
     baseline  : (metres, one sigma) that is known from elsewhere, or None.
     """
 
@@ -43,7 +43,7 @@ class Problem:
     free: Bool
     expected: Float64
     expected_sigma: Float64
-    basis: Float64
+    free_board: bool = False
     baseline: tuple[float, float] | None = None
 
     @property
@@ -58,14 +58,14 @@ class Problem:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class State:
-    """Values of all unknowns.  R, t: left camera from board, (V, 3, 3) and (V, 3).  shape: (K,) metres along the basis."""
+    """Values of all unknowns.  R, t: left camera from board, (V, 3, 3) and (V, 3).  stray: (n, 3) metres, the board's corners off their plan."""
 
     intrinsics: tuple[Float64, Float64]
     R_right_left: Float64
     t_right_left_m: Float64
     R: Float64
     t_m: Float64
-    shape_m: Float64 = field(default_factory=lambda: np.zeros(0))
+    stray_m: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,9 +73,9 @@ class Fit:
     """A solution.
 
     residual_px : (2, V, n, 2) projected minus seen; NaN where unseen, also for corners left out by weight 0.
-    information : (shared, shared) inverse covariance of the shared unknowns, board poses eliminated, for unit weights' sigma;
-                  by_view (V, shared, shared) is each view's part of it, without priors.
-    slope       : (V, shared) each view's part of the cost's gradient; they add up to zero over views at the optimum.
+    information : (shared, shared) inverse covariance of the shared unknowns, board poses eliminated, for weights that are
+                  1 / sigma; data_information is the same without prior knowledge.
+    slope       : (V, shared) each view's part of the cost's gradient; they add up to the priors' at the optimum.
     cost        : half the sum of squares of weighted residuals, as the loss sees them.
     """
 
@@ -83,17 +83,16 @@ class Fit:
     state: State
     residual_px: Float64
     information: Float64
-    by_view: Float64
+    data_information: Float64
     slope: Float64
-    pose_information: Float64
-    pose_shared: Float64
+    normal: Normal
     cost: float
 
 
 def shared_slices(lenses: tuple[str, str]) -> dict[str, slice]:
     """Where the shared unknowns stand: left, right (fx fy cx cy lens...), turn, shift (right from left), and rig for all four.
 
-    The board's shape is whatever follows the rig."""
+    The corners of a free board are whatever follows the rig."""
     a, b = (4 + checked_lens(name)[1] for name in lenses)
     ends = [int(i) for i in np.cumsum([0, a, b, 3, 3])]
     at = {name: slice(i, j) for name, i, j in zip(("left", "right", "turn", "shift"), ends[:-1], ends[1:])}
@@ -111,26 +110,9 @@ def shared_names(lenses: tuple[str, str]) -> tuple[str, ...]:
     return (*names, *(f"{what}.{axis}" for what in ("turn", "shift") for axis in "xyz"))
 
 
-def shape_basis(points_m: Float64, shape: str) -> Float64:
-    """(K, n, 3) how a board may differ from its plan.
-
-    "true" : not at all.  "bent": a parabola along its columns and one along its rows, 0 at the edges (as mrcal has it).
-    "free" : every corner by itself, in all three directions; held near the plan by a prior only.
-    """
-    n = len(points_m)
-    if shape == "free":
-        return np.eye(3 * n).reshape(3 * n, n, 3)
-    basis = np.zeros((2 if shape == "bent" else 0, n, 3))
-    if shape == "bent":
-        low, high = points_m[:, :2].min(axis=0), points_m[:, :2].max(axis=0)
-        t = (2 * points_m[:, :2] - low - high) / np.maximum(high - low, 1e-12)
-        basis[..., 2] = (1 - t * t).T
-    return basis
-
-
 def shared_values(state: State) -> Float64:
     """The shared unknowns of `state`; the turn between the eyes is counted from itself, so 0."""
-    return np.concatenate([*state.intrinsics, np.zeros(3), state.t_right_left_m, state.shape_m])
+    return np.concatenate([*state.intrinsics, np.zeros(3), state.t_right_left_m, state.stray_m.ravel()])
 
 
 def moved(state: State, lenses: tuple[str, str], shared: Float64, poses: Float64) -> State:
@@ -142,14 +124,13 @@ def moved(state: State, lenses: tuple[str, str], shared: Float64, poses: Float64
         t_right_left_m=state.t_right_left_m + shared[at["shift"]],
         R=rotation(poses[:, :3]) @ state.R,
         t_m=state.t_m + poses[:, 3:],
-        shape_m=state.shape_m + shared[at["rig"].stop :],
+        stray_m=state.stray_m + shared[at["rig"].stop :].reshape(-1, 3),
     )
 
 
 def board_points(problem: Problem, state: State) -> Float64:
     """(n, 3) the corners as the board has them, in its own frame."""
-    points: Float64 = problem.points_m + np.tensordot(state.shape_m, problem.basis, axes=1)
-    return points
+    return problem.points_m + state.stray_m if problem.free_board else problem.points_m
 
 
 def _eye_points(problem: Problem, state: State) -> tuple[Float64, Float64]:
@@ -193,23 +174,48 @@ def _cost(problem: Problem, state: State, scale: float | None) -> float:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Normal:
-    """Normal equations by blocks: `ss` (V, S, S), `sp` (V, S, 6), `pp` (V, 6, 6), slopes `s` (V, S) and `p` (V, 6)."""
+class Normal:
+    """Normal equations by blocks, view by view.  S counts the shared unknowns.
 
-    ss: Float64
+    own    : (V, o, o) of the rig's unknowns.     corner : (V, n, 3, 3) of the board's corners, n = 0 for a true board.
+    mixed  : (V, 3 n, o) of corners and rig.      sp     : (V, S, 6) of the shared unknowns and the view's pose.
+    pp     : (V, 6, 6) of the view's pose.        s, p   : (V, S) and (V, 6), the slopes.
+    """
+
+    own: Float64
+    corner: Float64
+    mixed: Float64
     sp: Float64
     pp: Float64
     s: Float64
     p: Float64
     residual_px: Float64
 
+    def shared(self) -> Float64:
+        """(S, S) the shared unknowns' own part, summed over views."""
+        return _assembled(self.own.sum(axis=0), self.mixed.sum(axis=0), self.corner.sum(axis=0))
 
-def _normal(problem: Problem, state: State, scale: float | None) -> _Normal:
-    at, size, views, n = shared_slices(problem.lenses), len(problem.free), problem.px.shape[1], len(problem.points_m)
-    own, shape = at["rig"].stop, problem.basis.transpose(1, 2, 0)
+
+def _assembled(own: Float64, mixed: Float64, corner: Float64) -> Float64:
+    """(S, S) from the rig's part, the corners' part, block by block, and what lies between."""
+    o, n = len(own), len(corner)
+    out = np.zeros((o + 3 * n, o + 3 * n))
+    out[:o, :o] = own
+    out[o:, :o], out[:o, o:] = mixed, mixed.T
+    i = np.arange(n)
+    out[o:, o:].reshape(n, 3, n, 3)[i, :, i, :] = corner
+    return out
+
+
+def _normal(problem: Problem, state: State, scale: float | None) -> Normal:
+    at, views, n = shared_slices(problem.lenses), problem.px.shape[1], len(problem.points_m)
+    own = at["rig"].stop
+    size = own + POSE + 1
     points = _eye_points(problem, state)
     residual = np.full(problem.px.shape, np.nan)
-    blocks = []
+    H = np.zeros((views, size, size))
+    free_corners = n if problem.free_board else 0
+    mixed, corner = np.zeros((views, free_corners, 3, size)), np.zeros((views, free_corners, 3, 3))
     for eye, name in enumerate(("left", "right")):
         q, by_point, by_lens = project(points[eye], state.intrinsics[eye], problem.lenses[eye])
         residual[eye] = q - problem.px[eye]
@@ -220,22 +226,35 @@ def _normal(problem: Problem, state: State, scale: float | None) -> _Normal:
         weight = np.where(used, problem.weight[eye], 0.0)
         weight = weight * np.sqrt(_robust((r * r).sum(axis=-1) * weight**2, scale)[1])
         by_left = by_point @ state.R_right_left if eye else by_point  # d pixel / d point in the left camera frame
-        J = np.zeros((views, n, 2, size + POSE + 1))
+        J = np.zeros((views, n, 2, size))
         J[..., at[name]] = by_lens
         if eye:
             J[..., at["turn"]] = np.cross((points[1] - state.t_right_left_m)[:, :, None], by_point)
             J[..., at["shift"]] = by_point
-        if size > own:
-            J[..., own:size] = (by_left @ state.R[:, None]) @ shape
-        J[..., size : size + 3] = np.cross((points[0] - state.t_m[:, None])[:, :, None], by_left)
-        J[..., size + 3 : size + 6] = by_left
-        J[..., :size] *= problem.free
+        J[..., own : own + 3] = np.cross((points[0] - state.t_m[:, None])[:, :, None], by_left)
+        J[..., own + 3 : own + 6] = by_left
+        J[..., :own] *= problem.free[:own]
         J[..., -1] = r
-        blocks.append((J * weight[..., None, None]).reshape(views, 2 * n, -1))
-    both = np.concatenate(blocks, axis=1)
-    H = both.transpose(0, 2, 1) @ both
-    p = slice(size, size + POSE)
-    return _Normal(ss=H[:, :size, :size], sp=H[:, :size, p], pp=H[:, p, p], s=H[:, :size, -1], p=H[:, p, -1], residual_px=residual)
+        J *= weight[..., None, None]
+        rows = J.reshape(views, 2 * n, size)
+        H += rows.transpose(0, 2, 1) @ rows
+        if free_corners:
+            by_corner = (by_left @ state.R[:, None]) * weight[..., None, None] * problem.free[own:].reshape(n, 1, 3)
+            for row in (0, 1):
+                mixed += by_corner[:, :, row, :, None] * J[:, :, row, None, :]
+                corner += by_corner[:, :, row, :, None] * by_corner[:, :, row, None, :]
+    p = slice(own, own + POSE)
+    mixed = mixed.reshape(views, 3 * free_corners, size)
+    return Normal(
+        own=H[:, :own, :own],
+        corner=corner,
+        mixed=mixed[..., :own],
+        sp=np.concatenate([H[:, :own, p], mixed[..., p]], axis=1),
+        pp=H[:, p, p],
+        s=np.concatenate([H[:, :own, -1], mixed[..., -1]], axis=1),
+        p=H[:, p, -1],
+        residual_px=residual,
+    )
 
 
 def _damped(H: Float64, damping: float) -> Float64:
@@ -258,12 +277,20 @@ def _solved(A: Float64, b: Float64) -> Float64:
     return d * x
 
 
-def _reduced(normal: _Normal, damping: float) -> tuple[Float64, Float64, Float64, Float64]:
-    """Each view's part of the equations of the shared unknowns: (V, S, S) and (V, S); and pp^-1 ps, pp^-1 p."""
-    size = normal.s.shape[1]
+def _without_poses(normal: Normal, damping: float) -> tuple[Float64, Float64, Float64, Float64]:
+    """The equations of the shared unknowns with the poses eliminated, (S, S) and by view (V, S); and pp^-1 ps, pp^-1 p."""
+    views, size = normal.s.shape
     back = np.linalg.solve(_damped(normal.pp, damping), np.concatenate([normal.sp.transpose(0, 2, 1), normal.p[..., None]], axis=-1))
-    taken = normal.sp @ back
-    return normal.ss - taken[..., :size], normal.s - taken[..., size], back[..., :size], back[..., size]
+    flat = normal.sp.transpose(1, 0, 2).reshape(size, views * POSE)
+    slope = normal.s - np.einsum("vsp,vp->vs", normal.sp, back[..., size])
+    return normal.shared() - flat @ back[..., :size].reshape(views * POSE, size), slope, back[..., :size], back[..., size]
+
+
+def view_information(found: Fit) -> Float64:
+    """(V, S, S) what each view says of the shared unknowns, its own pose eliminated; priors are not in it."""
+    normal = found.normal
+    back = np.linalg.solve(_damped(normal.pp, 0.0), normal.sp.transpose(0, 2, 1))
+    return np.stack([_assembled(*blocks) - sp @ b for *blocks, sp, b in zip(normal.own, normal.mixed, normal.corner, normal.sp, back)])
 
 
 def fit(problem: Problem, start: State, *, scale: float | None = None, steps: int = STEPS) -> Fit:
@@ -277,10 +304,10 @@ def fit(problem: Problem, start: State, *, scale: float | None = None, steps: in
         normal = _normal(problem, state, scale)
         prior, rows = _priors(problem, state)
         rows = rows * problem.free
+        known, pull = rows.T @ rows, rows.T @ prior
         while True:
-            by_view, slope, back, shift = _reduced(normal, damping)
-            A = by_view.sum(axis=0) + rows.T @ rows
-            shared = -_solved(_damped(A, damping), slope.sum(axis=0) + rows.T @ prior) * problem.free
+            A, slope, back, shift = _without_poses(normal, damping)
+            shared = -_solved(_damped(A + known, damping), slope.sum(axis=0) + pull) * problem.free
             poses = -shift - back @ shared
             tried = moved(state, problem.lenses, shared, poses)
             new = _cost(problem, tried, scale)
@@ -296,16 +323,15 @@ def fit(problem: Problem, start: State, *, scale: float | None = None, steps: in
         if small >= 2 or cost == 0:
             break
     normal = _normal(problem, state, scale)
-    by_view, slope, _, _ = _reduced(normal, 0.0)
+    information, slope, _, _ = _without_poses(normal, 0.0)
     rows = _priors(problem, state)[1] * problem.free
     return Fit(
         problem=problem,
         state=state,
         residual_px=normal.residual_px,
-        information=by_view.sum(axis=0) + rows.T @ rows,
-        by_view=by_view,
+        information=information + rows.T @ rows,
+        data_information=information,
         slope=slope,
-        pose_information=normal.pp,
-        pose_shared=normal.sp,
+        normal=normal,
         cost=cost,
     )

@@ -7,13 +7,12 @@ Nothing is dropped silently: what does not fit is marked with the reason, and th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from stereorelight.arrays import Bool, Float64
 from stereorelight.calibration import start
-from stereorelight.calibration.bundle import Fit, Problem, State, board_points, fit, shape_basis, shared_names, shared_slices
+from stereorelight.calibration.bundle import Fit, Problem, State, board_points, fit, shared_names, shared_slices, view_information
 from stereorelight.calibration.projection import camera_of, checked_lens, intrinsics_of, lens_of
 from stereorelight.calibration.sightings import StereoViews
 from stereorelight.camera import Camera, Eye, Rig
@@ -152,28 +151,27 @@ def _robust_fit(problem: Problem, state: State, *, rounds: int = 6) -> tuple[Fit
     return found, sigma
 
 
-def _shaped(found: Fit, sigma: float, shape: str, *, rounds: int = 4) -> tuple[Fit, float]:
+def _freed(found: Fit, sigma: float, *, rounds: int = 4) -> tuple[Fit, float]:
     """A robust fit in which the board need not be true, from one in which it was.
 
     How far corners stray from the plan is not known beforehand: the prior's sigma, one in the board's plane and one across
     it, is the one that the corners themselves then show (empirical Bayes), so that a true board stays true."""
-    basis = shape_basis(found.problem.points_m, shape)
-    across = np.abs(basis[:, :, 2]).max(axis=1) > 0
-    expected = np.zeros(len(found.problem.free) + len(basis))
-    expected[: len(found.problem.free)] = found.problem.expected
+    n = len(found.problem.points_m)
     pitch = _pitch(found.problem.points_m)
-    stray = np.full(len(basis), STRAY_START * pitch)
-    problem = replace(found.problem, basis=basis, expected=expected, free=np.append(found.problem.free, np.ones(len(basis), dtype=bool)))
-    state = replace(found.state, shape_m=np.zeros(len(basis)))
+    stray = np.full((n, 3), STRAY_START * pitch)
+    free, expected = np.append(found.problem.free, np.ones(3 * n, dtype=bool)), np.append(found.problem.expected, np.zeros(3 * n))
+    problem, state = replace(found.problem, free_board=True, free=free, expected=expected), replace(found.state, stray_m=np.zeros((n, 3)))
     for _ in range(rounds):
-        problem = replace(problem, weight=problem.weight / max(sigma, LEAST_SIGMA), expected_sigma=np.append(found.problem.expected_sigma, stray))
-        found_shape = fit(problem, state, scale=CAUCHY)
-        state, sigma = found_shape.state, robust_sigma(found_shape)
-        spread = np.diag(covariance_of(found_shape))[-len(basis) :] + state.shape_m**2
-        for part in (across, ~across):
-            if shape == "free":
-                stray[part] = max(float(np.sqrt(spread[part].mean())), LEAST_STRAY * pitch)
-    return found_shape, sigma
+        problem = replace(
+            problem,
+            weight=problem.weight / max(sigma, LEAST_SIGMA),
+            expected_sigma=np.append(found.problem.expected_sigma, stray.ravel()),
+        )
+        freed = fit(problem, state, scale=CAUCHY)
+        state, sigma = freed.state, robust_sigma(freed)
+        spread = np.diag(covariance_of(freed))[-3 * n :].reshape(n, 3) + state.stray_m**2
+        stray[:, :2], stray[:, 2] = (max(float(np.sqrt(s.mean())), LEAST_STRAY * pitch) for s in (spread[:, :2], spread[:, 2]))
+    return freed, sigma
 
 
 def _pitch(points_m: Float64) -> float:
@@ -204,7 +202,6 @@ def _problem(views: StereoViews, lenses: tuple[str, str], px: Float64, sigma: Fl
         free=free,
         expected=expected,
         expected_sigma=expected_sigma,
-        basis=np.zeros((0, len(views.points_m), 3)),
         baseline=known.baseline_m,
     )
 
@@ -339,14 +336,14 @@ def solve_rig(
     lenses: tuple[str, str],
     known: Known = NOTHING_KNOWN,
     *,
-    shape: str = "true",
+    free_board: bool = False,
 ) -> Calibration:
     """The rig that explains all views best.
 
     sizes  : (width, height) of each eye's pictures.
     lenses : lens model of each eye, names in `projection.LENSES`; those of `known.rig` where its lenses are kept.
-    shape  : what may be wrong with the board itself: "true" nothing, "bent" two parabolas, "free" every corner; whether that
-             pays is for held-out error to say (`lens_choice.choose`).
+    free_board : find the board's own shape as well, corner by corner: no print is exact and no board flat.  Whether that pays
+                 is for held-out error to say (`lens_choice.choose`).
     Raises : RigError where the views cannot give a rig, with what to shoot.
     """
     if known.rig is not None:
@@ -360,8 +357,8 @@ def solve_rig(
     problem = _problem(views, lenses, px, views.sigma_px, _free(lenses, *parts), known, state)
     everything = fit(problem, state)
     robust, sigma = _robust_fit(problem, state)
-    if shape != "true":
-        robust, sigma = _shaped(robust, sigma, shape)
+    if free_board:
+        robust, sigma = _freed(robust, sigma)
     problem = robust.problem
     kept, outliers = _marked(problem, robust, sigma, tuple(views.names))
     trimmed = fit(replace(problem, weight=np.where(kept, problem.weight, 0.0)), robust.state)
@@ -416,7 +413,7 @@ def _settled(problem: Problem, state: State) -> tuple[Fit, float, float]:
     excess of those pulls over what the corners' noise explains widens the answer."""
     for _ in range(2):  # where there is prior knowledge its weight depends on the corners' sigma, and the other way round
         found = fit(problem, state)
-        spent = float(np.trace(covariance_of(found) @ found.by_view.sum(axis=0)))
+        spent = float(np.trace(covariance_of(found) @ found.data_information))
         freedom = 2 * int(problem.seen.sum()) - spent - 6 * int(problem.seen.any(axis=(0, 2)).sum())
         weighted = np.where(problem.seen[..., None], found.residual_px * problem.weight[..., None], 0.0)
         sigma = max(float(np.sqrt((weighted**2).sum() / max(freedom, 1.0))), LEAST_SIGMA)
@@ -434,8 +431,8 @@ def view_excess(found: Fit) -> float:
     C = covariance_of(found)
     rig = np.flatnonzero(found.problem.free[: shared_slices(found.problem.lenses)["rig"].stop])
     moves = found.slope @ C[:, rig]
-    through = C[rig] @ found.by_view  # (V, rig, shared)
-    expected = (through @ C[:, rig]).sum(axis=0) - (through @ C @ found.by_view @ C[:, rig]).sum(axis=0)
+    back = view_information(found) @ C[:, rig]  # (V, shared, rig)
+    expected = C[rig] @ back.sum(axis=0) - np.einsum("vsr,st,vtq->rq", back, C, back, optimize=True)
     measure = scaled_inverse(C[np.ix_(rig, rig)])
     plain = float(np.trace(measure @ expected))
     return max(1.0, float(np.sqrt(np.einsum("vi,ij,vj->", moves, measure, moves) / plain))) if plain > 0 else 1.0
@@ -444,8 +441,15 @@ def view_excess(found: Fit) -> float:
 def scaled_inverse(A: Float64) -> Float64:
     """Inverse of a symmetric positive matrix, its unknowns scaled to one size first."""
     d = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-    inverse: Float64 = np.linalg.pinv(A * d * d[:, None], rcond=1e-15, hermitian=True) * d * d[:, None]
-    return inverse
+    scaled = A * d * d[:, None]
+    try:
+        inverse = np.linalg.inv(scaled)
+        if (np.diag(inverse) <= 0).any():
+            raise np.linalg.LinAlgError
+    except np.linalg.LinAlgError:  # some unknowns are tied: their own sum is huge, and is said to be
+        inverse = np.linalg.pinv(scaled + 1e-14 * np.eye(len(A)), rcond=1e-16, hermitian=True)
+    out: Float64 = inverse * d * d[:, None]
+    return out
 
 
 def covariance_of(found: Fit) -> Float64:
@@ -453,15 +457,4 @@ def covariance_of(found: Fit) -> Float64:
     free = found.problem.free
     out = np.zeros((len(free), len(free)))
     out[np.ix_(free, free)] = scaled_inverse(found.information[np.ix_(free, free)])
-    return out
-
-
-def standard_errors(calibration: Calibration) -> dict[str, float]:
-    """One sigma of each shared unknown: pixels, lens parameters, degrees for `turn`, metres for `shift`; and of the baseline."""
-    sigma = np.sqrt(np.maximum(np.diag(calibration.covariance), 0))
-    out: dict[str, Any] = {n: float(np.degrees(s)) if n.startswith("turn") else float(s) for n, s in zip(calibration.names, sigma)}
-    t = calibration.rig.t_right_left_m
-    at = shared_slices(calibration.lenses)["shift"]
-    along = t / np.linalg.norm(t)
-    out["baseline"] = float(np.sqrt(along @ calibration.covariance[at, at] @ along))
     return out
