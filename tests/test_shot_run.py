@@ -15,7 +15,7 @@ from stereorelight.footage.frames import read_frame
 from stereorelight.footage.plates import read_plate
 from stereorelight.footage.stills import read_still, write_still
 from stereorelight.interchange.rigs import read_rig, write_rig
-from stereorelight.shot import frame, steps
+from stereorelight.shot import frame, job, steps
 from stereorelight.shot.frame import Event
 from stereorelight.shot.run import run_shot
 from stereorelight.shot.synthetic import write_shot
@@ -171,7 +171,8 @@ def test_a_renamed_light_takes_its_preview_along(shot: Path) -> None:
 def test_a_stopped_run_goes_on_to_the_same_files(shot: Path, monkeypatch: pytest.MonkeyPatch, broken: str) -> None:
     whole = contents(shot / "out")
     shutil.rmtree(shot / "out")
-    real, calls = getattr(steps, broken), []
+    home = job if broken == "write_frame" else steps
+    real, calls = getattr(home, broken), []
 
     def stops(*args: object, **settings: object) -> object:
         calls.append(args)
@@ -180,7 +181,7 @@ def test_a_stopped_run_goes_on_to_the_same_files(shot: Path, monkeypatch: pytest
         return real(*args, **settings)
 
     with monkeypatch.context() as patch:
-        patch.setattr(steps, broken, stops)
+        patch.setattr(home, broken, stops)
         with pytest.raises(KeyboardInterrupt):
             run_shot(shot / "shot.toml")
     partial = contents(shot / "out")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,25 @@ space_option = click.option("--colour-space", default="auto", show_default=True,
 force_option = click.option("--force", is_flag=True, help="Replace files that exist.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
 eye_option = click.option("--eye", type=click.Choice(["left", "right"]), default="left", show_default=True, help="Whose plate the result lies on.")
+
+layout_option = click.option(
+    "--layout",
+    default="auto",
+    show_default=True,
+    metavar="HOW",
+    help="How one file holds both eyes: side-by-side, side-by-side-half, top-bottom, top-bottom-half; give it as LEFT alone.",
+)
+sync_option = click.option(
+    "--sync", default="auto", show_default=True, help="Pair movies by timecode or frames; auto: by time code where both carry one."
+)
+late_option = click.option(
+    "--right-late", "right_late_frames", type=int, default=0, show_default=True, metavar="N", help="The right camera is N whole frames behind."
+)
+
+
+def pairing_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options that say how pictures of the two eyes belong together."""
+    return layout_option(sync_option(late_option(command)))
 
 
 def say(text: str, *, as_json: bool = False) -> None:

@@ -55,13 +55,13 @@ def command(
 
     settings = DepthSettings(quality=quality, near_m=near_m, far_m=far_m)
     rectified = rectification(read_rig(rig_path))
-    found = pairs(left, right, frames=frames)
+    found = pairs(left, right, frames=frames, colour_space=colour_space)
     paths = outputs_for(out, [pair.number for pair in found], force=force)
     results = []
     with Bar("depth", total=len(found)) as bar:
         for pair, path in zip(found, paths):
             bar.note(pair.name)
-            plates = read_upright(pair, rectified, colour_space=colour_space)
+            plates = read_upright(pair, rectified)
             frame = recover_pair(pair, plates, rectified, settings=settings, eye=eye).frame
             write_frame(path, replace(frame, number=pair.number, metadata=flip_word(rectified, eye)), force=force)
             results.append({"frame": pair.number, "file": str(path), **depth_figures(frame)})

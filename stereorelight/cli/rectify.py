@@ -34,7 +34,7 @@ def command(left: str, right: str, rig_path: Path, folder: Path, frames: str | N
     from stereorelight.stereo.rectify import rectification
 
     rectified = rectification(read_rig(rig_path))
-    found = pairs(left, right, frames=frames)
+    found = pairs(left, right, frames=frames, colour_space=colour_space)
 
     def target(eye: str, number: int | None) -> Path:
         return folder / (f"{eye}.exr" if number is None else f"{eye}.{number:04d}.exr")
@@ -45,7 +45,7 @@ def command(left: str, right: str, rig_path: Path, folder: Path, frames: str | N
     with Bar("rectify", total=len(found)) as bar:
         for pair in found:
             bar.note(pair.name)
-            plates = read_upright(pair, rectified, colour_space=colour_space)
+            plates = read_upright(pair, rectified)
             for eye, plate in zip(EYES, plates):
                 frame = Frame(passes={"plate": rectified.rectify(plate, eye)}, eye=eye, number=pair.number)
                 write_frame(target(eye, pair.number), frame, force=force)

@@ -167,6 +167,26 @@ def read_exr(path: str | Path) -> list[ExrPart]:
     return out
 
 
+def read_header(path: str | Path) -> ExrPart:
+    """The first part's header without its pixels: words, time code, rate, primaries.
+
+    Raises: PlateError when the file is missing, empty, no EXR or damaged at its beginning.
+    """
+    path = Path(path)
+    check_file(path)
+    import OpenEXR
+
+    with quiet():
+        OpenEXR.setMaxImageSize(LARGEST_SIDE, LARGEST_SIDE)
+        try:
+            headers = [dict(part.header) for part in OpenEXR.File(str(path), header_only=True).parts]
+        except (RuntimeError, ValueError, IndexError, KeyError, MemoryError, UnicodeDecodeError):
+            headers = []
+    if not headers:
+        raise PlateError(f"{path}: truncated or damaged EXR; copy or render it again")
+    return ExrPart(channels={}, header=headers[0])
+
+
 def parts_of_view(parts: Sequence[ExrPart], view: str | None, path: str | Path) -> list[ExrPart]:
     """The parts that belong to `view` (None: the file's first view); parts without a view belong to every one.
 

@@ -53,6 +53,18 @@ def linear_plate(picture: Float32, name: str | Path, *, colour_space: str = "aut
     return plate
 
 
+def _dpx_plate(path: Path, colour_space: str, settings: ColourSettings) -> Float32:
+    """A DPX says its curve in a few words at best: linear and Rec.709 are believed, a film scan must be named."""
+    from stereorelight.footage.movie.dpx import read_dpx
+
+    picture = read_dpx(path)
+    if colour_space.lower() == "auto":
+        if picture.is_log:
+            raise PlateError(f'{path}: holds {picture.transfer} values; say which, such as colour_space = "ARRI LogC3" or "ADX10"')
+        colour_space = "linear" if picture.transfer == "linear" else "rec709"
+    return linear_plate(picture.rgb, path, colour_space=colour_space, is_float=False, colour=settings)
+
+
 def read_plate(path: str | Path, *, colour_space: str = "auto", view: str | None = None, colour: ColourSettings | None = None) -> Float32:
     """A picture file as scene-linear (H, W, 3) float32 in the working space.
 
@@ -70,6 +82,8 @@ def read_plate(path: str | Path, *, colour_space: str = "auto", view: str | None
         if colour_space.lower() == "auto":
             picture = stated_to_working(picture, header, path, settings)
         return linear_plate(picture, path, colour_space=colour_space, is_float=True, colour=settings)
+    if path.suffix.lower() == ".dpx":
+        return _dpx_plate(path, colour_space, settings)
     still = read_still(path)
     return linear_plate(still.rgb, path, colour_space=colour_space, is_float=still.is_float, colour=settings)
 

@@ -143,6 +143,14 @@ def flags_picture(flags: npt.NDArray[np.integer]) -> UInt8:
     return picture
 
 
+def shrunk(picture: UInt8, width: int) -> UInt8:
+    """The picture no wider than `width`, averaged down; smaller ones as they are."""
+    import cv2
+
+    h, w = picture.shape[:2]
+    return picture if w <= width else cv2.resize(picture, (width, max(1, round(h * width / w))), interpolation=cv2.INTER_AREA)
+
+
 def before_after(before: UInt8, after: UInt8, *, wipe: float | None = None) -> UInt8:
     """Two pictures of one size side by side, or with `wipe` in 0..1 as one picture cut there; a thin white line between."""
     if before.shape != after.shape:

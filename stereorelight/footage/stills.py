@@ -160,5 +160,15 @@ def write_still(path: str | Path, encoded: npt.ArrayLike, *, bits: int = 8, forc
     return write_whole(path, lambda temporary: _put_bytes(temporary, coded.tobytes()), force=force)
 
 
+def png_bytes(picture: npt.NDArray[np.uint8]) -> bytes:
+    """RGB (H, W, 3) or gray (H, W) uint8 as a PNG in memory, for pages that carry their pictures."""
+    import cv2
+
+    done, coded = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1] if picture.ndim == 3 else picture))
+    if not done:
+        raise OutputError("OpenCV cannot encode this picture as PNG")
+    return bytes(coded.tobytes())
+
+
 def _put_bytes(path: Path, data: bytes) -> None:
     path.write_bytes(data)

@@ -79,7 +79,7 @@ def motion_blur(plate: Float32, following: Float32 | None = None, *, flow: Float
 def judge_blur(measured: Sequence[tuple[int | None, MotionBlur]]) -> Finding:
     """One Finding "motion blur" over a shot, by the 5 % that move fastest in the worst frame; value in px of the plate."""
     if not measured:
-        return Finding(name="motion blur", level="unknown", unit="px", words="Motion blur was not measured: it needs two frames with texture.")
+        return Finding(name="motion_blur", level="unknown", unit="px", words="Motion blur was not measured: it needs two frames with texture.")
     scale = measured[0][1].width / REFERENCE_WIDTH
     frame, worst = max(measured, key=lambda pair: pair[1].fast_px)
     size = worst.fast_px / scale
@@ -95,7 +95,7 @@ def judge_blur(measured: Sequence[tuple[int | None, MotionBlur]]) -> Finding:
         words += f"; worst: {frames_named(fast)}"
     remedy = "Depth and normals are soft along these streaks; trust them less there, or shoot with a shorter shutter and more light."
     return Finding(
-        name="motion blur",
+        name="motion_blur",
         level=level,
         value=worst.fast_px,
         unit="px",

@@ -37,6 +37,10 @@ class Finding:
     frames: tuple[tuple[int | None, float], ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "words", _sentence(self.words))
+        object.__setattr__(self, "remedy", _sentence(self.remedy))
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite is None."""
         return {
@@ -49,6 +53,12 @@ class Finding:
             "frames": [{"frame": number, "value": _plain(value)} for number, value in self.frames],
             "details": _plain(dict(self.details)),
         }
+
+
+def _sentence(text: str) -> str:
+    """A capital at the beginning and a full stop at the end."""
+    text = text.strip()
+    return text and text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")
 
 
 def _plain(value: Any) -> Any:

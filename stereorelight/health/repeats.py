@@ -244,12 +244,12 @@ def _too_few(name: str, shot: Signed, want: int) -> Finding | None:
 
 def judge_repeats(shot: Signed, *, eye: str = "") -> Finding:
     """One Finding "repeated frames" over one eye's shot; value: how many."""
-    if (few := _too_few("repeated frames", shot, 2)) is not None:
+    if (few := _too_few("repeated_frames", shot, 2)) is not None:
         return few
     at = repeated_frames(shot)
     frames = tuple((frame, float(n in set(at))) for n, (frame, _) in enumerate(shot))
     if not at:
-        return Finding(name="repeated frames", level="good", value=0.0, unit="frames", words=f"No frame{_of(eye)} is repeated.", frames=frames)
+        return Finding(name="repeated_frames", level="good", value=0.0, unit="frames", words=f"No frame{_of(eye)} is repeated.", frames=frames)
     words = f"{len(at)} frame{'s' if len(at) > 1 else ''}{_of(eye)} repeat{'' if len(at) > 1 else 's'} the one before"
     words += f": {named}" if (named := frames_named([shot[n][0] for n in at])) else ""
     gaps = set(np.diff(at).tolist())
@@ -261,7 +261,7 @@ def judge_repeats(shot: Signed, *, eye: str = "") -> Finding:
         remedy = "Take the pulldown out, or conform the footage at the rate it was shot at."
     positions = [shot[n][0] for n in at]
     return Finding(
-        name="repeated frames",
+        name="repeated_frames",
         level="bad" if len(at) > len(shot) / 4 else "warn",
         value=float(len(at)),
         unit="frames",
@@ -274,20 +274,20 @@ def judge_repeats(shot: Signed, *, eye: str = "") -> Finding:
 
 def judge_drops(shot: Signed, *, eye: str = "") -> Finding:
     """One Finding "dropped frames" over one eye's shot; value: frames lost, as told by the motion."""
-    if (few := _too_few("dropped frames", shot, 4)) is not None:
+    if (few := _too_few("dropped_frames", shot, 4)) is not None:
         return few
     at = dropped_frames(shot)
     lost = dict(at)
     frames = tuple((frame, lost.get(n, 0.0)) for n, (frame, _) in enumerate(shot))
     if not at:
-        return Finding(name="dropped frames", level="good", value=0.0, unit="frames", words=f"No frame{_of(eye)} is missing.", frames=frames)
+        return Finding(name="dropped_frames", level="good", value=0.0, unit="frames", words=f"No frame{_of(eye)} is missing.", frames=frames)
     total = sum(max(1, round(size)) for _, size in at)
     named = frames_named([shot[n][0] for n, _ in at])
     words = f"{total} frame{'s' if total > 1 else ''}{_of(eye)} seem{'' if total > 1 else 's'} lost: the motion jumps" + (
         f" before {named}" if named else ""
     )
     return Finding(
-        name="dropped frames",
+        name="dropped_frames",
         level="warn",
         value=float(total),
         unit="frames",
@@ -300,18 +300,18 @@ def judge_drops(shot: Signed, *, eye: str = "") -> Finding:
 
 def judge_corrupt(shot: Signed, *, eye: str = "") -> Finding:
     """One Finding "corrupt frames" over one eye's shot; value: how many."""
-    if (few := _too_few("corrupt frames", shot, 1)) is not None:
+    if (few := _too_few("corrupt_frames", shot, 1)) is not None:
         return few
     at = corrupt_frames(shot)
     bad = {n for n, _ in at}
     frames = tuple((frame, float(n in bad)) for n, (frame, _) in enumerate(shot))
     if not at:
-        return Finding(name="corrupt frames", level="good", value=0.0, unit="frames", words=f"No frame{_of(eye)} looks damaged.", frames=frames)
+        return Finding(name="corrupt_frames", level="good", value=0.0, unit="frames", words=f"No frame{_of(eye)} looks damaged.", frames=frames)
     first = "; ".join((f"frame {shot[n][0]}: " if shot[n][0] is not None else "") + why for n, why in at[:3])
     more = f"; and {len(at) - 3} more" if len(at) > 3 else ""
     only_light = all("flashes" in why for _, why in at)
     return Finding(
-        name="corrupt frames",
+        name="corrupt_frames",
         level="warn" if only_light else "bad",
         value=float(len(at)),
         unit="frames",

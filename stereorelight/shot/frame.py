@@ -5,17 +5,20 @@ files are as the receipt says is not done again, so that a run that stopped goes
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from stereorelight.errors import OutputError
+from stereorelight.footage.eyes import Eyes
 from stereorelight.footage.preview import depth_range
 from stereorelight.interchange.rigs import read_rig, rig_to_dict
 from stereorelight.shot.job import FrameJob
-from stereorelight.shot.pairs import Pair, pairs
+from stereorelight.shot.mend import MendedRectification, Mends
+from stereorelight.shot.pairs import EYES, Pair, eyes_of_shot, pairs_of
 from stereorelight.shot.receipt import Receipt, code_digest, digest, file_digest, versions
 from stereorelight.shot.schema import Shot, read_shot
 from stereorelight.shot.steps import STEPS, Step
@@ -47,9 +50,16 @@ class Prepared:
     shot: Shot
     rig_path: Path
     rectification: Rectification
+    eyes: Eyes
     pairs: tuple[Pair, ...]
     rig_key: str
     range_key: str
+    mends: Mends = field(default_factory=Mends)
+
+    @functools.cached_property
+    def rigs(self) -> MendedRectification:
+        """The rectification of every frame."""
+        return MendedRectification(self.rectification, self.mends)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +76,7 @@ class FrameResult:
 def prepare(path: str | Path, frames: str | None = None) -> Prepared:
     """Read shot file and rig, and find the frames.  Raises ShotError, RigError, PlateError."""
     shot = read_shot(path)
-    plates = shot.tables.plates
+    eyes = eyes_of_shot(shot, frames)
     rig_path = shot.resolved(shot.tables.rig.file)
     rig = read_rig(rig_path)
     rig_key = digest(rig_to_dict(rig) | {"quality": None})
@@ -74,7 +84,8 @@ def prepare(path: str | Path, frames: str | None = None) -> Prepared:
         shot=shot,
         rig_path=rig_path,
         rectification=rectification(rig),
-        pairs=pairs(shot.resolved(plates.left), shot.resolved(plates.right), frames=frames or plates.frames),
+        eyes=eyes,
+        pairs=pairs_of(eyes),
         rig_key=rig_key,
         range_key=digest(rig_key, shot.tables.depth.model_dump()),
     )
@@ -122,9 +133,11 @@ def run_frame(
     noted : the preview range of run.json, {} where none is known; `note` is told when it is measured.
     """
     shot = ready.shot
-    job = FrameJob(shot=shot, rectification=ready.rectification, pair=pair)
+    job = FrameJob(shot=shot, rectification=ready.rigs.of(pair), pair=pair)
     receipt = Receipt(job.receipt_path, shot.folder)
-    sources = {"left": file_digest(pair.left), "right": file_digest(pair.right), "rig": ready.rig_key}
+    sources = {"left": pair.digest("left"), "right": pair.digest("right"), "rig": ready.rig_key}
+    if pair.name in ready.mends.values:
+        sources["rig"] = digest(ready.rig_key, ready.mends.values[pair.name])
     receipt.head = _head(ready, pair, sources)
     keys: dict[str, str] = {}
     figures: dict[str, Any] = {}
@@ -158,10 +171,11 @@ def _head(ready: Prepared, pair: Pair, sources: dict[str, str]) -> dict[str, Any
     return {
         "frame": pair.number,
         "inputs": {
-            "left": {"file": pair.left.as_posix(), "sha256": sources["left"]},
-            "right": {"file": pair.right.as_posix(), "sha256": sources["right"]},
+            **{eye: {"file": pair.file(eye).as_posix(), "frame": pair.clip(eye)[1], "sha256": sources[eye]} for eye in EYES},
             "rig": {"file": ready.rig_path.as_posix(), "sha256": file_digest(ready.rig_path)},
         },
+        "plates": list(ready.eyes.notes),
+        "rig_mended": ready.mends.words.get(pair.name),
         "settings": ready.shot.tables.model_dump(mode="json"),
         "versions": dict(versions()),
     }

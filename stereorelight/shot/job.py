@@ -15,8 +15,7 @@ from stereorelight import __version__
 from stereorelight.arrays import Float32
 from stereorelight.camera import Camera
 from stereorelight.comp import relight
-from stereorelight.footage.frames import read_frame
-from stereorelight.footage.plates import read_plate
+from stereorelight.footage.frames import read_frame, write_frame
 from stereorelight.light.shade import light_layers
 from stereorelight.passes import Frame
 from stereorelight.shot.depths import surface_of
@@ -72,32 +71,47 @@ class FrameJob:
         """What a file's header says of how it was made."""
         return {"software": f"stereorelight {__version__}", "shot": self.shot.name, "step": step} | flip_word(self.rectification, "left")
 
+    @property
+    def timecode(self) -> str | None:
+        """Time code of the left plate."""
+        return self.pair.left.timecode(self.pair.number)
+
+    @property
+    def source_words(self) -> dict[str, str]:
+        """What the source's own header says (camera, reel, lens ...), to go with the picture."""
+        return self.pair.left.source_words(self.pair.number)
+
+    def write(self, path: Path, frame: Frame, *, half: bool = True) -> Path:
+        """Write a result with the shot's colour space, and the time code and rate of its source."""
+        return write_frame(path, frame, half=half, force=True, colour=self.shot.colour, timecode=self.timecode, rate=self.pair.left.rate)
+
     @cached_property
     def plates(self) -> tuple[Float32, Float32]:
         """Left and right plate, upright, scene-linear.  Raises PlateError."""
-        return read_upright(self.pair, self.rectification, colour_space=self.shot.tables.plates.colour_space)
+        return read_upright(self.pair, self.rectification, colour=self.shot.colour)
 
     @cached_property
     def plate(self) -> Float32:
         """The left plate alone: what is relit."""
         if "plates" in self.__dict__:
             return self.plates[0]
-        view = "left" if self.pair.left == self.pair.right else None
-        plate = read_plate(self.pair.left, colour_space=self.shot.tables.plates.colour_space, view=view)
-        return self.rectification.upright(plate, "left")
+        return self.rectification.upright(self.pair.plate("left", self.shot.colour), "left")
 
     def recovered(self) -> Frame:
         """Z, confidence and flags, found now."""
-        found = recover_pair(self.pair, self.plates, self.rectification, settings=self.shot.depth)
+        match_colour = self.shot.tables.plates.match_colour
+        found = recover_pair(self.pair, self.plates, self.rectification, settings=self.shot.depth, match_colour=match_colour)
         frame = replace(found.frame, number=self.pair.number, metadata=self.words("depth"))
         self.search_figures = {"searched_px": [found.search.low, found.search.high], "vertical_px": _rounded(found.vertical_px)}
+        if found.colour is not None:
+            self.search_figures["colour_match"] = found.colour.to_dict()
         self.__dict__["depth"] = frame
         return frame
 
     @cached_property
     def depth(self) -> Frame:
         """Z, confidence and flags, from their file."""
-        return replace(read_frame(self.depth_path), camera=self.camera)
+        return replace(read_frame(self.depth_path, colour=self.shot.colour), camera=self.camera)
 
     def made_surface(self) -> Frame:
         """Z, P and N, made now."""
@@ -110,7 +124,7 @@ class FrameJob:
     @cached_property
     def surface(self) -> Frame:
         """Z, P and N, from their file."""
-        return replace(read_frame(self.passes_path), camera=self.camera)
+        return replace(read_frame(self.passes_path, colour=self.shot.colour), camera=self.camera)
 
     @cached_property
     def layers(self) -> dict[str, Float32]:

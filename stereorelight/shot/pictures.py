@@ -9,7 +9,9 @@ import numpy as np
 from stereorelight.arrays import Float32, UInt8
 from stereorelight.camera import Camera
 from stereorelight.footage import preview
+from stereorelight.footage.colour import display_picture, rec709_from_working
 from stereorelight.shot.job import FrameJob
+from stereorelight.shot.pairs import EYES
 from stereorelight.shot.schema import Shot
 
 SCENE = ("plate", "depth", "confidence", "flags", "P", "N")
@@ -17,16 +19,35 @@ CELL_PX = 480  # width of one picture on the contact sheet
 LIGHT = "light_"
 
 
+def scene_names(shot: Shot) -> list[str]:
+    """The names of `scene_pictures`."""
+    return [*SCENE, *(["anaglyph"] if "anaglyph" in shot.tables.output.movies else [])]
+
+
+def shown(linear: Float32, shot: Shot) -> UInt8:
+    """A plate or a layer as a person sees it: through the shot's display view, or as sRGB with a soft shoulder where it names none."""
+    if shot.colour.display or shot.colour.view:
+        return display_picture(linear, shot.colour)
+    return preview.plate_picture(rec709_from_working(linear, shot.colour))
+
+
+def _anaglyph(job: FrameJob) -> UInt8:
+    views = [job.rectification.rectify(plate, eye) for plate, eye in zip(job.plates, EYES)]
+    return preview.anaglyph(shown(views[0], job.shot), shown(views[1], job.shot))
+
+
 def scene_pictures(job: FrameJob) -> dict[str, UInt8]:
     """The plate and everything that was recovered from it; no light changes these."""
     near, far = job.preview_range_m
+    more = {"anaglyph": _anaglyph(job)} if "anaglyph" in scene_names(job.shot) else {}
     return {
-        "plate": preview.plate_picture(job.plate),
+        "plate": shown(job.plate, job.shot),
         "depth": preview.depth_picture(job.depth["Z"], near=near, far=far),
         "confidence": preview.confidence_picture(job.depth["confidence"]),
         "flags": preview.flags_picture(job.depth["flags"]),
         "P": position_picture(job.surface["P"], job.camera, far_m=far),
         "N": preview.normals_picture(job.surface["N"]),
+        **more,
     }
 
 
@@ -52,8 +73,8 @@ def relit_pictures(job: FrameJob) -> dict[str, UInt8]:
     for light in job.shot.lights:
         if light.enabled:
             parts = [layer for name, layer in job.layers.items() if name.rpartition("_")[0] == LIGHT + light.name]
-            made[LIGHT + light.name] = preview.light_picture(np.sum(parts, axis=0, dtype=np.float32))
-    made["relit"] = preview.plate_picture(job.beauty)
+            made[LIGHT + light.name] = shown(np.sum(parts, axis=0, dtype=np.float32), job.shot)
+    made["relit"] = shown(job.beauty, job.shot)
     scene = scene_pictures(job)
     made["before_after"] = preview.before_after(scene["plate"], made["relit"])
     sheet = [("plate", scene["plate"]), ("relit", made["relit"]), *((n, p) for n, p in scene.items() if n != "plate")]

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,10 @@ from typing import Any
 from stereorelight.errors import OutputError, ShotError
 from stereorelight.files import make_folder, write_text
 from stereorelight.shot.frame import Event, FrameResult, Prepared, prepare, run_frame
+from stereorelight.shot.mend import Mends, mends_of
 from stereorelight.shot.pairs import Pair
 from stereorelight.shot.receipt import versions
+from stereorelight.shot.reviews import write_reviews
 from stereorelight.threads import set_threads, usable_cores
 
 RUN_VERSION = 1
@@ -33,6 +35,7 @@ class RunSummary:
 
     folder : the output folder.           frames : names of the frames, in order.
     done   : steps that were done.        stood  : steps that stood from an earlier run.
+    movies : review movies and sheets that were written.
     figures: frame to step to figures, those that stood included.
     """
 
@@ -41,6 +44,7 @@ class RunSummary:
     done: int
     stood: int
     seconds: float
+    movies: int
     figures: dict[str, dict[str, Any]]
 
     def to_dict(self) -> dict[str, Any]:
@@ -50,6 +54,7 @@ class RunSummary:
             "frames": list(self.frames),
             "steps_done": self.done,
             "steps_stood": self.stood,
+            "movies_written": self.movies,
             "seconds": round(self.seconds, 3),
             "figures": self.figures,
         }
@@ -112,6 +117,9 @@ def run_shot(
     folder = ready.shot.folder
     _writable(folder)
     record = RunRecord(folder / "run.json")
+    ready = replace(
+        ready, mends=mends_of(ready.shot, ready.rectification, told=lambda name, done, total: on_event(_aside(name, "mend the rig", total)))
+    )
     noted = dict(record.data.get("preview_range") or {})
 
     def one(pair: Pair) -> FrameResult:
@@ -124,10 +132,15 @@ def run_shot(
         results = [one(ready.pairs[0])]
         results += run_in_processes(ready, path, noted=noted, force=force, workers=workers, on_event=on_event)
     record.put(shot=ready.shot.path.name, name=ready.shot.name, versions=dict(versions()))
+    movies, written = write_reviews(
+        ready, record.data.get("movies") or {}, force=force, note=lambda name: on_event(_aside(name, "write", len(ready.pairs)))
+    )
+    record.put(movies=movies)
     return RunSummary(
         folder=folder,
         frames=tuple(result.frame for result in results),
         done=sum(result.done for result in results),
+        movies=written,
         stood=sum(result.stood for result in results),
         seconds=time.monotonic() - started,
         figures={result.frame: result.figures for result in results},
@@ -143,7 +156,7 @@ def run_in_processes(
     threads = max(1, usable_cores() // workers)
     # Spawned, not forked: numba's and OpenCV's threads do not survive a fork.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(threads,)) as pool:
-        waiting = {pool.submit(_frame_in_worker, str(path), pair, noted, force): pair for pair in rest}
+        waiting = {pool.submit(_frame_in_worker, str(path), pair, noted, force, ready.mends): pair for pair in rest}
         results: dict[Pair, FrameResult] = {}
         try:
             for future in as_completed(waiting):
@@ -157,6 +170,11 @@ def run_in_processes(
     return [results[pair] for pair in rest]
 
 
+def _aside(name: str, what: str, total: int) -> Event:
+    """What is told of work that is no step of a frame: mending the rig, writing movies."""
+    return Event(frames=total, steps=1, frame=name, step=what, state="begins")
+
+
 def _begin_worker(threads: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer; a frame that has begun is finished
     set_threads(threads)
@@ -167,5 +185,5 @@ def _prepared_once(path: str) -> Prepared:
     return prepare(path)
 
 
-def _frame_in_worker(path: str, pair: Pair, noted: dict[str, Any], force: bool) -> FrameResult:
-    return run_frame(_prepared_once(path), pair, noted=dict(noted), note=lambda new: None, force=force)
+def _frame_in_worker(path: str, pair: Pair, noted: dict[str, Any], force: bool, mends: Mends) -> FrameResult:
+    return run_frame(replace(_prepared_once(path), mends=mends), pair, noted=dict(noted), note=lambda new: None, force=force)

@@ -10,6 +10,7 @@ import re
 import tomllib
 import types
 import typing
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -17,7 +18,9 @@ from typing import Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from stereorelight.errors import ShotError, StereoRelightError, nearest_hint
-from stereorelight.footage.colour import checked_space
+from stereorelight.footage.clip import PACKED, is_movie
+from stereorelight.footage.colour import ColourSettings, check_colour, checked_display, working_space
+from stereorelight.footage.sequence import frame_range
 from stereorelight.light.lights import Light, lights_from_dicts
 from stereorelight.stereo.settings import DepthSettings
 
@@ -35,13 +38,33 @@ class Table(BaseModel):
 
 class PlatesTable(Table):
     left: str = Field(min_length=1)
-    right: str = Field(min_length=1)
+    right: str | None = Field(default=None, min_length=1)
     frames: str | None = None
+    layout: Literal["auto", "separate", "side-by-side", "side-by-side-half", "top-bottom", "top-bottom-half"] = "auto"
+    swap_eyes: bool = False
+    sync: Literal["auto", "frames", "timecode"] = "auto"
+    right_late_frames: int = 0
+    first_frame: int = 1
+    rate: float | None = Field(default=None, gt=0)
+    matrix: Literal["auto", "bt601", "bt709", "bt2020"] = "auto"
+    levels: Literal["auto", "video", "full"] = "auto"
     colour_space: str = "auto"
+    right_colour_space: str | None = None
+    match_colour: Literal["off", "global", "local"] = "off"
+
+
+class ColourTable(Table):
+    working: str = "linear Rec.709"
+    config: str | None = None
+    display: str | None = None
+    view: str | None = None
 
 
 class RigTable(Table):
     file: str = Field(default="rig.json", min_length=1)
+    drift: Literal["off", "shot", "frame"] = "off"
+    drift_frames: str | None = None
+    drift_window: int = Field(default=9, ge=1)
 
 
 class DepthTable(Table):
@@ -65,6 +88,8 @@ class OutputTable(Table):
     name: str | None = Field(default=None, pattern=NAME)
     colour: Literal["half", "float"] = "half"
     previews: bool = True
+    movies: list[Literal["relit", "wipe", "plate", "depth", "normals", "anaglyph"]] = []
+    movie_codec: Literal["h264", "h265", "prores", "prores4444", "dnxhr", "ffv1"] = "h264"
     preview_near_m: float | None = Field(default=None, gt=0)
     preview_far_m: float | None = Field(default=None, gt=0)
 
@@ -72,6 +97,7 @@ class OutputTable(Table):
 class ShotTables(Table):
     version: Literal[1] = 1
     plates: PlatesTable
+    colour: ColourTable = ColourTable()
     rig: RigTable = RigTable()
     depth: DepthTable = DepthTable()
     surface: SurfaceTable = SurfaceTable()
@@ -91,12 +117,14 @@ class Shot:
     path   : the shot file; every path in it is relative to its folder.
     tables : the file's tables with defaults filled in.
     depth  : the settings of depth recovery.
+    colour : the working space, the OpenColorIO config, and the view of the previews.
     lights : the lights, in the file's order, those that are off included.
     """
 
     path: Path
     tables: ShotTables
     depth: DepthSettings
+    colour: ColourSettings
     lights: tuple[Light, ...]
 
     def resolved(self, text: str) -> Path:
@@ -228,6 +256,29 @@ def _checked_lights(path: Path, tables: list[dict[str, Any]], lines: dict[tuple[
         raise ShotError(f"{path}: {error}") from None
 
 
+def _checked_colour(path: Path, tables: ShotTables, lines: dict[tuple[str | int, ...], int]) -> ColourSettings:
+    """The colour settings; every name in them and of the plates is known to the config."""
+    told = tables.colour
+    config = told.config
+    if config and "://" not in config and not config.startswith("$"):
+        config = str(path.parent / config)
+    colour = ColourSettings(working=told.working, config=config, display=told.display, view=told.view)
+    plates = tables.plates
+    checks: list[tuple[tuple[str | int, ...], Callable[[], object]]] = [
+        (("colour", "working"), lambda: working_space(colour)),
+        (("plates", "colour_space"), lambda: check_colour(colour, plates.colour_space)),
+        (("plates", "right_colour_space"), lambda: check_colour(colour, plates.right_colour_space or "auto")),
+    ]
+    if colour.display or colour.view:
+        checks.append((("colour", "view"), lambda: checked_display(colour)))
+    for key, check in checks:
+        try:
+            check()
+        except StereoRelightError as error:
+            raise ShotError(f"{_where(path, lines, key)}: {error}") from None
+    return colour
+
+
 def read_lights(path: str | Path) -> tuple[Light, ...]:
     """The lights in a file that holds [[lights]] and nothing else.  Raises ShotError naming file and line."""
     path = Path(path)
@@ -244,13 +295,17 @@ def read_shot(path: str | Path) -> Shot:
     except StereoRelightError as error:
         key = next((k for k in DepthTable.model_fields if k in str(error)), "quality")
         raise ShotError(f"{_where(path, lines, ('depth', key))}: {error}") from None
-    try:
-        if tables.plates.colour_space.lower() != "auto":
-            checked_space(tables.plates.colour_space)
-    except StereoRelightError as error:
-        raise ShotError(f"{_where(path, lines, ('plates', 'colour_space'))}: {error}") from None
+    plates = tables.plates
+    if plates.right is None and not (plates.layout in PACKED or is_movie(plates.left) or "%" in plates.left or plates.left.lower().endswith(".exr")):
+        raise ShotError(f"{_where(path, lines, ('plates',))}: key 'plates.right' is missing; name the right eye's plate, or say its layout")
+    colour = _checked_colour(path, tables, lines)
+    if tables.rig.drift_frames is not None:
+        try:
+            frame_range(tables.rig.drift_frames)
+        except StereoRelightError as error:
+            raise ShotError(f"{_where(path, lines, ('rig', 'drift_frames'))}: {error}") from None
     output = tables.output
     if output.preview_near_m and output.preview_far_m and output.preview_near_m >= output.preview_far_m:
         where = _where(path, lines, ("output", "preview_near_m"))
         raise ShotError(f"{where}: output.preview_near_m must be less than preview_far_m, got {output.preview_near_m:g} and {output.preview_far_m:g}")
-    return Shot(path=path, tables=tables, depth=depth, lights=_checked_lights(path, tables.lights, lines))
+    return Shot(path=path, tables=tables, depth=depth, colour=colour, lights=_checked_lights(path, tables.lights, lines))

@@ -13,13 +13,26 @@ from typing import Any
 import numpy as np
 
 from stereorelight.arrays import Float32, UInt8
-from stereorelight.footage.frames import write_frame
+from stereorelight.footage.colour import config_digest
 from stereorelight.footage.stills import write_still
 from stereorelight.light.lights import to_dict
 from stereorelight.passes import Flag, Frame
 from stereorelight.shot.job import FrameJob
-from stereorelight.shot.pictures import SCENE, relit_names, relit_pictures, scene_pictures
+from stereorelight.shot.pictures import relit_names, relit_pictures, scene_names, scene_pictures
 from stereorelight.shot.schema import Shot
+
+
+def colour_key(shot: Shot) -> list[str | None]:
+    """What the plates' colours depend on."""
+    plates = shot.tables.plates
+    spaces = [plates.colour_space, plates.right_colour_space or plates.colour_space]
+    return [*spaces, config_digest(shot.colour, *spaces)]
+
+
+def view_key(shot: Shot) -> list[str | None]:
+    """What the previews' colours depend on beyond the plates."""
+    return [shot.colour.display, shot.colour.view]
+
 
 Figures = dict[str, Any]
 
@@ -90,18 +103,20 @@ def relight_figures(layers: Mapping[str, Float32], beauty: Float32) -> Figures:
 
 def _make_depth(job: FrameJob) -> Made:
     frame = job.recovered()
-    return Made(depth_figures(frame) | job.search_figures, lambda: write_frame(job.depth_path, frame, force=True))
+    return Made(depth_figures(frame) | job.search_figures, lambda: job.write(job.depth_path, frame))
 
 
 def _make_passes(job: FrameJob) -> Made:
     frame = job.made_surface()
-    return Made(surface_figures(frame), lambda: write_frame(job.passes_path, frame, force=True))
+    return Made(surface_figures(frame), lambda: job.write(job.passes_path, frame))
 
 
 def _make_relit(job: FrameJob) -> Made:
     half = job.shot.tables.output.colour == "half"
-    frame = Frame(passes={"beauty": job.beauty, **job.layers}, camera=job.camera, number=job.pair.number, metadata=job.words("relight"))
-    return Made(relight_figures(job.layers, job.beauty), lambda: write_frame(job.relit_path, frame, half=half, force=True))
+    frame = Frame(
+        passes={"beauty": job.beauty, **job.layers}, camera=job.camera, number=job.pair.number, metadata=job.words("relight") | job.source_words
+    )
+    return Made(relight_figures(job.layers, job.beauty), lambda: job.write(job.relit_path, frame, half=half))
 
 
 def _make_pictures(job: FrameJob, made: Mapping[str, UInt8]) -> Made:
@@ -117,7 +132,7 @@ STEPS: tuple[Step, ...] = (
         name="depth",
         sources=True,
         rooms=("stereo", "footage", "engine", "shot/job.py"),
-        settings=lambda shot: [shot.tables.depth.model_dump(), shot.tables.plates.colour_space],
+        settings=lambda shot: [shot.tables.depth.model_dump(), shot.tables.plates.match_colour, colour_key(shot)],
         files=lambda job: [job.depth_path],
         make=_make_depth,
     ),
@@ -141,8 +156,8 @@ STEPS: tuple[Step, ...] = (
         name="previews",
         after=("depth", "passes"),
         rooms=("footage", "shot/pictures.py"),
-        settings=lambda shot: None,
-        files=lambda job: [job.preview_path(name) for name in SCENE],
+        settings=view_key,
+        files=lambda job: [job.preview_path(name) for name in scene_names(job.shot)],
         make=lambda job: _make_pictures(job, scene_pictures(job)),
         wanted=lambda shot: shot.tables.output.previews,
         ranged=True,
@@ -151,7 +166,7 @@ STEPS: tuple[Step, ...] = (
         name="relit previews",
         after=("previews", "relight"),
         rooms=("footage", "shot/pictures.py"),
-        settings=lambda shot: None,
+        settings=view_key,
         files=lambda job: [job.preview_path(name) for name in relit_names(job.shot)],
         make=lambda job: _make_pictures(job, relit_pictures(job)),
         wanted=lambda shot: shot.tables.output.previews,

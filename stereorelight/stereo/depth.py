@@ -6,6 +6,7 @@ disparity on its rectified view.  Z is the distance along the original camera's 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -16,26 +17,31 @@ from stereorelight.engine.resample import on_planes
 from stereorelight.errors import PlateError
 from stereorelight.passes import Flag, Frame
 from stereorelight.stereo import confidence as belief
+from stereorelight.stereo.colour_match import ColourMatch
+from stereorelight.stereo.colour_match import match_colour as colour_matched
 from stereorelight.stereo.flow import flow_disparity
-from stereorelight.stereo.match import DisparityRange, match, search_range
+from stereorelight.stereo.match import DisparityRange, coarse_disparity, match, search_range
 from stereorelight.stereo.proxy import Proxy, matching_proxy
 from stereorelight.stereo.rectify import Rectification
 from stereorelight.stereo.refine import EFFORTS, Refined, refine
 from stereorelight.stereo.settings import DepthSettings
 
 SMALLEST_DISPARITY_PX = 0.25  # of d + doffs: beyond it, depth is anything up to infinity
+MatchColour = Literal["off", "global", "local"]
 APART_PX = 1.0  # disparities farther apart belong to two surfaces when Z is carried to the plate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recovered:
     """What was found: `frame` (Z, confidence, flags on the original plate of the eye), `rectified` (disparity, confidence,
-    flags on that eye's rectified view), the range searched, and the median row error that the flow saw, px."""
+    flags on that eye's rectified view), the range searched, the median row error that the flow saw, px, and how the right
+    eye's colours were matched, where they were."""
 
     frame: Frame
     rectified: Frame
     search: DisparityRange
     vertical_px: float
+    colour: ColourMatch | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,16 +112,30 @@ def depth_on_plate(depth: RectifiedDepth, rectification: Rectification, *, eye: 
     return Frame(passes={"Z": Z, "confidence": sure, "flags": flags}, camera=camera, eye=eye)
 
 
-def recover(left: Float32, right: Float32, rectification: Rectification, *, settings: DepthSettings | None = None, eye: Eye = "left") -> Recovered:
+def recover(
+    left: Float32,
+    right: Float32,
+    rectification: Rectification,
+    *,
+    settings: DepthSettings | None = None,
+    eye: Eye = "left",
+    match_colour: MatchColour = "off",
+) -> Recovered:
     """Depth of `eye` from upright scene-linear plates.
 
-    left, right : (H, W, 3) float32, NaN where a plate is broken.
+    left, right  : (H, W, 3) float32, NaN where a plate is broken.
+    match_colour : give the right eye the left one's colours first, by what both see: "global", or "local" with a smooth field.
     Raises      : PlateError when sizes do not fit the rig, nothing matches, or the eyes look swapped.
     """
     settings = settings or DepthSettings()
-    proxy = matching_proxy(rectification.rectify(left, "left"), rectification.rectify(right, "right"))
+    views = rectification.rectify(left, "left"), rectification.rectify(right, "right")
+    proxy = matching_proxy(*views)
     rig = rectification.rig
     search = search_range(proxy, rig, near_m=settings.near_m, far_m=settings.far_m)
+    colour = None
+    if match_colour != "off":
+        mended, colour = colour_matched(*views, mode=match_colour, disparity=coarse_disparity(proxy, search))
+        proxy = matching_proxy(views[0], mended)
     if search.count > proxy.left.shape[1]:
         wide = proxy.left.shape[1]
         raise PlateError(f"disparities {search.low} to {search.high} px do not fit plates {wide} px wide; check near_m and far_m against the rig")
@@ -126,4 +146,4 @@ def recover(left: Float32, right: Float32, rectification: Rectification, *, sett
         eye=eye,
     )
     frame = depth_on_plate(depth, rectification, eye=eye, fill=settings.fill)
-    return Recovered(frame=frame, rectified=rectified, search=search, vertical_px=depth.vertical_px)
+    return Recovered(frame=frame, rectified=rectified, search=search, vertical_px=depth.vertical_px, colour=colour)

@@ -135,6 +135,18 @@ def _coarse(proxy: Proxy) -> tuple[Proxy, float]:
     return shrunk, size[0] / width
 
 
+def coarse_disparity(proxy: Proxy, search: DisparityRange) -> Float32:
+    """(H, W) px on the left view, good to a pixel or so, NaN where the eyes do not confirm each other: what both of them see.
+
+    Matched on a small copy: a few milliseconds, for whoever must know which pixels belong together and not how far they are.
+    """
+    coarse, scale = _coarse(proxy)
+    found = match(coarse, DisparityRange.holding(search.low * scale, search.high * scale), dense=False)
+    seen = np.where(consistent(found.left, found.right, within_px=0.75), found.left / np.float32(scale), np.float32(np.nan))
+    height, width = proxy.left_grey.shape
+    return cv2.resize(seen.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
+
+
 def search_range(proxy: Proxy, rig: RectifiedRig, *, near_m: float | None = None, far_m: float | None = None) -> DisparityRange:
     """Which disparities to search: from near and far where given, else from the pictures themselves.
 

@@ -1,0 +1,284 @@
+"""A clip: one eye's pictures, whatever they are stored as.
+
+In: a picture, a sequence, a movie, one track of a movie, one view of an EXR, or one half of a packed picture.  Out: plates by
+frame number, scene-linear (H, W, 3) float32, with the name, time code and words that belong to them.
+Frames: a picture has none; a sequence has its files' numbers; a movie counts from `first_frame`, 1 unless told otherwise.
+A `Clip` is plain values and goes to other processes; decoders are opened where they are first needed, and shared."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import re
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from stereorelight.arrays import Float32
+from stereorelight.camera import Eye
+from stereorelight.errors import PlateError, ShotError, nearest_hint
+from stereorelight.footage.colour import ColourSettings
+from stereorelight.footage.exr import read_header
+from stereorelight.footage.plates import linear_plate, read_plate
+from stereorelight.footage.sequence import COUNTER, Sequence
+
+if TYPE_CHECKING:
+    from stereorelight.footage.movie.reader import Movie, MovieInfo
+
+MOVIE_SUFFIXES = frozenset((".mov", ".mp4", ".m4v", ".mkv", ".mxf", ".avi", ".webm", ".mts", ".m2ts", ".ts", ".mpg"))
+Layout = Literal["auto", "separate", "side-by-side", "side-by-side-half", "top-bottom", "top-bottom-half"]
+LAYOUTS: tuple[Layout, ...] = ("auto", "separate", "side-by-side", "side-by-side-half", "top-bottom", "top-bottom-half")
+PACKED = LAYOUTS[2:]
+# What a movie's transfer tag means for the plate; a log curve is hardly ever tagged as such, so the user names it.
+SPACE_OF_TRANSFER = {"bt709": "rec709", "smpte170m": "rec709", "bt470bg": "rec709", "iec61966-2-1": "sRGB", "linear": "linear"}
+OPEN_MOVIES = 4
+# Words that travel from a source into the results; what only its container or its own space concerns does not.
+HEADER_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*")
+OURS, OUR_WORDS = "stereorelight/", frozenset(("software", "shot", "step", "colorInteropID", "capDate"))
+CONTAINER_WORDS = frozenset(
+    ("major_brand", "minor_version", "compatible_brands", "encoder", "handler_name", "vendor_id", "language", "timecode", "duration")
+)
+
+
+def is_movie(path: str | Path) -> bool:
+    """Whether the name is one of a movie file."""
+    return Path(path).suffix.lower() in MOVIE_SUFFIXES and COUNTER.search(Path(path).name) is None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clip:
+    """One eye's pictures.
+
+    pictures   : the files, or the movie file as a single one.
+    eye        : whose they are.               layout : how the eyes share a picture; "separate" where they do not.
+    frames     : frame numbers; empty for a single picture.
+    track      : of a movie with several.      view   : of a multi-view EXR.
+    first_frame: number of a movie's first picture.
+    matrix, levels : of a movie, where its own tags are wrong: "bt601", "bt709", "bt2020"; "video", "full".
+    rate       : pictures a second, or None where the files do not say.
+    start_timecode : of the first picture of a movie.    words : what a movie says of itself, (key, text).
+    """
+
+    pictures: Sequence
+    eye: Eye = "left"
+    layout: Layout = "separate"
+    frames: tuple[int, ...] = ()
+    track: int = 0
+    view: str | None = None
+    first_frame: int = 1
+    matrix: str = "auto"
+    levels: str = "auto"
+    colour_space: str = "auto"
+    rate: Fraction | None = None
+    start_timecode: str | None = None
+    words: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def is_movie(self) -> bool:
+        return is_movie(self.pictures.pattern)
+
+    @property
+    def is_single(self) -> bool:
+        """Whether this is one picture without a number."""
+        return self.pictures.is_single and not self.is_movie
+
+    def file(self, frame: int | None = None) -> Path:
+        """The file that holds `frame`."""
+        return Path(self.pictures.pattern) if self.is_movie else self.pictures.path(frame)
+
+    def name(self, frame: int | None = None) -> str:
+        """What to call a picture in a message: its file, with the frame where the file is a movie, and the part of it."""
+        part = "" if self.layout == "separate" else f", {self.eye} half"
+        if self.is_movie:
+            track = f", track {self.track}" if self.track else ""
+            return f"{self.file()} frame {frame}{track}{part}"
+        return f"{self.file(frame)}{part}"
+
+    def check_frame(self, frame: int | None) -> None:
+        """Raise PlateError where the clip does not hold `frame`."""
+        if not self.is_single and frame not in self.frames:
+            raise PlateError(f"{self.pictures.pattern}: has no frame {frame}; it has {self.frames[0]}-{self.frames[-1]}")
+
+    def read(self, frame: int | None = None, *, colour: ColourSettings | None = None) -> Float32:
+        """The plate of `frame`, scene-linear (H, W, 3) float32 in the working space.
+
+        Raises : PlateError for a frame that is missing, damaged or cut short; ShotError for an unknown colour space.
+        """
+        self.check_frame(frame)
+        colour = colour or ColourSettings()
+        if self.is_movie:
+            whole = self._movie_plate(int(frame or 0), colour)
+        else:
+            whole = read_plate(self.file(frame), colour_space=self.colour_space, view=self.view, colour=colour)
+        return part_of(whole, self.eye, self.layout, self.name(frame))
+
+    def _movie_plate(self, frame: int, colour: ColourSettings) -> Float32:
+        from stereorelight.footage.colour import transfer_table
+
+        movie, lock = _movie(str(self.file()), self.track, self.matrix, self.levels)
+        space = self._movie_space(movie.info)
+        with lock:
+            table = None if space == "linear" else transfer_table(space, colour)
+            picture = movie.read(frame - self.first_frame, table)
+        if table is not None:
+            return picture
+        return linear_plate(picture, self.name(frame), colour_space=space, is_float=True, colour=colour)
+
+    def _movie_space(self, info: MovieInfo) -> str:
+        if self.colour_space.lower() != "auto":
+            return self.colour_space
+        tag = info.transfer or "bt709"
+        if tag in ("unknown", "unspecified", "reserved"):
+            tag = "bt709"
+        if tag.startswith("bt2020"):
+            return "rec2020"
+        if tag not in SPACE_OF_TRANSFER:
+            raise ShotError(f'{info.path}: is tagged with the transfer {tag!r}; name what the camera recorded, such as colour_space = "S-Log3"')
+        if info.primaries == "bt2020" and SPACE_OF_TRANSFER[tag] == "rec709":
+            return "rec2020"
+        return SPACE_OF_TRANSFER[tag]
+
+    def timecode(self, frame: int | None) -> str | None:
+        """Time code of `frame`, "01:00:00:05" or with ";" for drop frame; None where the files carry none."""
+        if not self.is_movie:
+            return _told_by_file(str(self.file(frame)), *_stamp(self.file(frame))).timecode
+        if frame is None or self.start_timecode is None or self.rate is None:
+            return None
+        from stereorelight.footage.movie.timecode import Timecode
+
+        return str(Timecode.parse(self.start_timecode, self.rate) + (frame - self.first_frame))
+
+    def source_words(self, frame: int | None) -> dict[str, str]:
+        """What the source says of camera, reel and lens, for the header of what is made from it."""
+        if self.is_movie:
+            return {k: v for k, v in self.words if HEADER_WORD.fullmatch(k) and k.lower() not in CONTAINER_WORDS}
+        return dict(_told_by_file(str(self.file(frame)), *_stamp(self.file(frame))).words)
+
+    def digest(self, frame: int | None = None) -> str:
+        """sha256 of what the plate of `frame` is read from: the file's bytes, and for a movie the place in it."""
+        file = self.file(frame)
+        whole = _file_digest(str(file), *_stamp(file))
+        if not self.is_movie and self.layout == "separate":
+            return whole
+        parts: list[Any] = [whole, self.layout, self.eye if self.layout != "separate" else "", self.track, self.matrix, self.levels]
+        parts += [frame - self.first_frame if self.is_movie and frame is not None else ""]
+        return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+def part_of(picture: Float32, eye: Eye, layout: Layout, name: str) -> Float32:
+    """One eye's part of a packed (H, W, 3) picture: left or upper half for the left eye.
+
+    The "half" layouts hold each eye squeezed to half its width or height; it is stretched back with the picture's edges kept.
+    Raises : PlateError where the picture cannot be halved.
+    """
+    if layout in ("separate", "auto"):
+        return picture
+    across = layout.startswith("side-by-side")
+    size = picture.shape[1 if across else 0]
+    if size % 2:
+        raise PlateError(f"{name}: is {size} pixels {'wide' if across else 'high'}, which cannot be halved for {layout}; check the layout")
+    half = slice(0, size // 2) if eye == "left" else slice(size // 2, size)
+    part = np.ascontiguousarray(picture[:, half] if across else picture[half])
+    if layout.endswith("-half"):
+        import cv2
+
+        h, w = part.shape[:2]
+        part = cv2.resize(part, (2 * w, h) if across else (w, 2 * h), interpolation=cv2.INTER_CUBIC)
+    return part
+
+
+def _stamp(file: Path) -> tuple[int, int]:
+    try:
+        stat = file.stat()
+    except FileNotFoundError:
+        raise PlateError(f"{file}: file missing; check the name in the shot file, or restore the file") from None
+    except OSError as error:
+        raise PlateError(f"{file}: cannot be read: {(error.strerror or str(error)).lower()}") from None
+    return stat.st_size, stat.st_mtime_ns
+
+
+@functools.lru_cache(maxsize=64)
+def _file_digest(file: str, size: int, changed_ns: int) -> str:
+    """sha256 of a file's bytes; read again only when its size or time has changed, so that a movie is hashed once a run."""
+    try:
+        with open(file, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise PlateError(f"{file}: cannot be read: {(error.strerror or str(error)).lower()}") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Told:
+    """What a picture file says of itself."""
+
+    timecode: str | None = None
+    rate: Fraction | None = None
+    words: Mapping[str, str] = field(default_factory=dict)
+
+
+@functools.lru_cache(maxsize=8)
+def _told_by_file(file: str, size: int, changed_ns: int) -> _Told:
+    """Time code, rate and words of an EXR or DPX; of other pictures nothing."""
+    suffix = Path(file).suffix.lower()
+    if suffix == ".exr":
+        header = read_header(file)
+        own, told = header.metadata, header.attributes
+        words = {k: v for k, v in own.items() if HEADER_WORD.fullmatch(k) and not k.startswith(OURS) and k not in OUR_WORDS}
+        return _Told(timecode=told.get("timeCode") or own.get(f"{OURS}timecode"), rate=told.get("framesPerSecond"), words=words)
+    if suffix == ".dpx":
+        from stereorelight.footage.movie.dpx import read_dpx
+
+        picture = read_dpx(file)
+        return _Told(timecode=picture.timecode, rate=picture.rate)
+    return _Told()
+
+
+@functools.lru_cache(maxsize=OPEN_MOVIES)
+def _movie(path: str, track: int, matrix: str, levels: str) -> tuple[Movie, threading.Lock]:
+    """A decoder that stays where it stopped, so that frames in order are read without seeking."""
+    from stereorelight.footage.movie.reader import Movie
+
+    return Movie(path, stream=track, matrix=matrix, levels=levels), threading.Lock()
+
+
+def close_movies() -> None:
+    """Forget the decoders; files can then be replaced on systems that lock open ones."""
+    _movie.cache_clear()
+
+
+def _checked_layout(layout: str) -> Layout:
+    for known in LAYOUTS:
+        if layout == known:
+            return known
+    raise ShotError(f"layout {layout!r} is unknown{nearest_hint(layout, LAYOUTS)}")
+
+
+def open_clip(text: str | Path, *, eye: Eye = "left", layout: str = "separate", track: int = 0, view: str | None = None, **settings: Any) -> Clip:
+    """The clip that `text` names.
+
+    settings : further fields of `Clip`: first_frame, matrix, levels, colour_space.
+    Raises   : PlateError when there is no such file, frame, track or view; ShotError for a layout that is unknown.
+    """
+    checked = _checked_layout(layout)
+    pictures = Sequence.parse(text, view=eye)
+    clip = Clip(pictures=pictures, eye=eye, layout="separate" if checked == "auto" else checked, frames=pictures.frames, view=view, **settings)
+    if not clip.is_movie:
+        first = clip.file(clip.frames[0] if clip.frames else None)
+        return replace(clip, rate=_told_by_file(str(first), *_stamp(first)).rate)
+    info = _info(clip.file(), track)
+    numbers = tuple(range(clip.first_frame, clip.first_frame + info.frames))
+    return replace(clip, track=track, frames=numbers, rate=info.rate, start_timecode=info.start_timecode, words=tuple(info.metadata.items()))
+
+
+def _info(path: Path, track: int) -> MovieInfo:
+    from stereorelight.footage.movie.reader import movie_streams
+
+    streams = movie_streams(path)
+    if track >= len(streams):
+        raise PlateError(f"{path}: has {len(streams)} video track{'s' if len(streams) > 1 else ''}, no track {track}; tracks count from 0")
+    return streams[track]

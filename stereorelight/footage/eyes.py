@@ -1,0 +1,191 @@
+"""Both eyes of a shot: two clips, and which picture of the right one belongs to which of the left.
+
+In: the names of the plates as the shot file has them.  Out: an `Eyes`.  Whatever the eyes do not have in common (rate, frames,
+time code) is told, with what there is and what would do; nothing is paired in silence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+from stereorelight.errors import PlateError, ShotError, nearest_hint
+from stereorelight.footage.clip import PACKED, Clip, is_movie, open_clip
+from stereorelight.footage.sequence import common_frames, frame_range, frames_text
+
+Sync = Literal["auto", "frames", "timecode"]
+SYNCS: tuple[Sync, ...] = ("auto", "frames", "timecode")
+# How Matroska and FFmpeg call the way in which one picture holds both eyes.
+STEREO_TAGS: Mapping[str, tuple[str, bool]] = MappingProxyType(
+    {
+        "left_right": ("side-by-side", False),
+        "right_left": ("side-by-side", True),
+        "side by side": ("side-by-side", False),
+        "top_bottom": ("top-bottom", False),
+        "bottom_top": ("top-bottom", True),
+        "top and bottom": ("top-bottom", False),
+    }
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Eyes:
+    """The two clips of a shot.
+
+    frames : numbers of the frames that both eyes have, by the left eye's count; empty for two single pictures.
+    shift  : the right clip's frame is the left one's plus this.
+    notes  : what was decided on the way, in words, for the receipt.
+    """
+
+    left: Clip
+    right: Clip
+    frames: tuple[int, ...] = ()
+    shift: int = 0
+    notes: tuple[str, ...] = ()
+
+    def right_frame(self, number: int | None) -> int | None:
+        return None if number is None else number + self.shift
+
+
+def _tagged_layout(clip: Clip) -> tuple[str, bool] | None:
+    tag = next((v for k, v in clip.words if k.lower() in ("stereo_mode", "stereo3d", "stereo3d_type")), "")
+    return STEREO_TAGS.get(tag.lower().strip())
+
+
+def _one_file(path: str | Path, *, layout: str, settings: Mapping[str, Any]) -> tuple[Clip, Clip, list[str]]:
+    """Both eyes out of one file or pattern."""
+    if layout in PACKED:
+        left, right = (open_clip(path, eye=eye, layout=layout, **settings) for eye in ("left", "right"))
+        return left, right, []
+    if is_movie(path):
+        left = open_clip(path, eye="left", **settings)
+        if (tagged := _tagged_layout(left)) is not None:
+            found, turned = tagged
+            clips = [open_clip(path, eye=eye, layout=found, **settings) for eye in ("left", "right")]
+            clips = clips[::-1] if turned else clips
+            return clips[0], clips[1], [f"{path} is tagged as {found}{', right eye first' if turned else ''}"]
+        try:
+            right = open_clip(path, eye="right", track=1, **settings)
+        except PlateError:
+            remedy = 'say how it holds both eyes, such as layout = "side-by-side", or name the movie of the right eye'
+            raise PlateError(f"{path}: is given for both eyes, but has one video track and no stereo tag; {remedy}") from None
+        return left, right, [f"{path} holds the left eye in track 0 and the right eye in track 1"]
+    left, right = (open_clip(path, eye=eye, view=eye, **settings) for eye in ("left", "right"))
+    if left.file(left.frames[0] if left.frames else None).suffix.lower() != ".exr":
+        raise PlateError(f'{path}: is given for both eyes; name the right plate, or say how it holds both, such as layout = "side-by-side"')
+    return left, right, []
+
+
+def _timecode_shift(left: Clip, right: Clip, sync: str) -> tuple[int, list[str]]:
+    """By how many frames the right clip counts ahead of the left one at the same time code."""
+    both = left.is_movie and right.is_movie and left.start_timecode and right.start_timecode
+    if sync == "frames" or (sync == "auto" and not both):
+        return 0, []
+    if not both:
+        lacking = [clip.pictures.pattern for clip in (left, right) if not clip.start_timecode]
+        raise PlateError(f'{lacking[0]}: carries no time code; use sync = "frames", and right_late_frames where the eyes start apart')
+    from stereorelight.footage.movie.timecode import Timecode
+
+    rate = left.rate
+    assert rate is not None
+    starts = [Timecode.parse(str(clip.start_timecode), rate).frames for clip in (left, right)]
+    apart = starts[1] - starts[0]
+    shift = (right.first_frame - left.first_frame) - apart
+    if apart == 0:
+        return shift, []
+    if abs(apart) >= max(len(left.frames), len(right.frames)):
+        if sync == "auto":
+            words = f"time codes {left.start_timecode} and {right.start_timecode} do not overlap: the eyes are paired from their first frames"
+            return right.first_frame - left.first_frame, [words]
+        codes = f"time code runs from {right.start_timecode}, the left eye's from {left.start_timecode}, and they do not overlap"
+        raise PlateError(f'{right.pictures.pattern}: {codes}; use sync = "frames"')
+    return shift, [f"paired by time code: the right movie starts {abs(apart)} frame{'s' * (abs(apart) > 1)} {'later' if apart > 0 else 'earlier'}"]
+
+
+def _check_alike(left: Clip, right: Clip) -> None:
+    if left.is_single != right.is_single:
+        single = left if left.is_single else right
+        other = "movie" if left.is_movie or right.is_movie else "sequence"
+        raise PlateError(f"{single.file()}: is a single picture, but the other eye is a {other}; give both eyes alike")
+    if left.rate is not None and right.rate is not None and left.rate != right.rate:
+        rates = f"runs at {float(right.rate):.6g} frames a second, but {left.pictures.pattern} at {float(left.rate):.6g}"
+        raise PlateError(f"{right.pictures.pattern}: {rates}; conform both eyes to one rate first")
+
+
+def _paired(left: Clip, right: Clip, shift: int, wanted: str | None, *, cut: bool) -> tuple[int, ...]:
+    """The frames to work on.  `cut`: the eyes were shifted against each other, so that their ends cannot both be used."""
+    moved = tuple(n - shift for n in right.frames)
+    numbers = frame_range(wanted) if wanted else None
+    if not (left.is_movie or right.is_movie) and shift == 0:
+        return common_frames(left.pictures, right.pictures, wanted)
+    both = sorted(set(left.frames) & set(moved))
+    if not both:
+        raise PlateError(
+            f"{right.pictures.pattern}: shares no frame with the left eye; left has {frames_text(left.frames)}, right {frames_text(moved)}"
+        )
+    if numbers is None:
+        if not cut and left.frames != moved:
+            what = f"holds {len(right.frames)} frames, but {left.pictures.pattern} {len(left.frames)}"
+            raise PlateError(f"{right.pictures.pattern}: {what}. Give --frames {frames_text(both)}, or restore the missing ones")
+        return tuple(both)
+    for n in numbers:
+        for clip, have in ((left, left.frames), (right, moved)):
+            if n not in set(have):
+                inside = [f for f in numbers if f in set(both)]
+                remedy = f"Give --frames {frames_text(inside)}" if inside else f"Both eyes have {frames_text(both)}"
+                raise PlateError(f"{clip.pictures.pattern}: has no frame {n}; it has {frames_text(have)}. {remedy}")
+    return numbers
+
+
+def open_eyes(
+    left: str | Path,
+    right: str | Path | None = None,
+    *,
+    frames: str | None = None,
+    layout: str = "auto",
+    sync: str = "auto",
+    right_late_frames: int = 0,
+    swap: bool = False,
+    colour_space: str = "auto",
+    right_colour_space: str | None = None,
+    **settings: Any,
+) -> Eyes:
+    """The clips that `left` and `right` name, and their common frames.
+
+    right             : None, or the same as `left`, where one file holds both eyes: packed, as two tracks, or as two views.
+    layout            : one of clip.LAYOUTS.        sync : "timecode", "frames", or "auto": by time code where both movies carry one.
+    right_late_frames : the right camera is so many whole frames behind: its picture of a moment comes so much later.
+    swap              : what is called left is the right eye's.
+    settings          : first_frame, matrix, levels for movies.
+    Raises            : PlateError for what is missing or differs between the eyes; ShotError for an unknown layout or sync.
+    """
+    if sync not in SYNCS:
+        raise ShotError(f"sync {sync!r} is unknown{nearest_hint(sync, SYNCS)}")
+    spaces = {"left": colour_space, "right": right_colour_space or colour_space}
+    same = right is None or str(left) == str(right)
+    if same and not ("%V" in str(left) or "%v" in str(left)):
+        a, b, notes = _one_file(left, layout=layout, settings=settings)
+    else:
+        a = open_clip(left, eye="left", layout="separate" if layout == "auto" else layout, **settings)
+        b = open_clip(left if right is None else right, eye="right", layout="separate" if layout == "auto" else layout, **settings)
+        notes = []
+    a, b = replace(a, colour_space=spaces["left"]), replace(b, colour_space=spaces["right"])
+    if swap:
+        a, b = b, a
+        notes.append("the eyes are exchanged, as told")
+    _check_alike(a, b)
+    if a.is_single:
+        if frames:
+            a.pictures.with_frames(frames)
+        return Eyes(left=a, right=b, notes=tuple(notes))
+    shift, words = _timecode_shift(a, b, sync)
+    if right_late_frames:
+        words.append(
+            f"the right eye is taken {abs(right_late_frames)} frames {'later' if right_late_frames > 0 else 'earlier'}, as the shot file asks"
+        )
+    shift += right_late_frames
+    cut = bool(words)
+    numbers = _paired(a, b, shift, frames, cut=cut)
+    return Eyes(left=a, right=b, frames=numbers, shift=shift, notes=(*notes, *words))
