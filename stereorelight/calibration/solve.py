@@ -23,8 +23,8 @@ EYES: tuple[Eye, Eye] = ("left", "right")
 RAYLEIGH_MEDIAN = 1.1774  # median length of a 2-D error with unit sigma along each axis
 CAUCHY = 3.0  # sigmas at which a corner's pull is halved, while it is not yet known which corners are bad
 BAD_CORNER = 5.0  # sigmas; of a million good corners four are farther off
-BAD_VIEW = 3.0  # times the usual median error
-BAD_SHARE = 0.4  # of a view's corners: with more of them bad the view is bad
+BAD_VIEW = 5.0  # times the usual median error
+BAD_SHARE = 0.4  # of a view's corners: with more of them twice as far off as a bad corner the view is bad
 STRAY_START = 0.02  # of the pitch between corners: how far off its plan a board may be, to begin with
 LEAST_STRAY = 1e-5
 LEAST_SIGMA = 1e-12  # pixels: corners without any noise
@@ -286,7 +286,7 @@ def _marked(problem: Problem, found: Fit, sigma: float, names: tuple[str, ...]) 
     bad = seen & (length * problem.weight > BAD_CORNER * sigma)
     kept, outliers = seen & ~bad, []
     for v in range(seen.shape[1]):
-        wrong = [e for e in (0, 1) if seen[e, v].any() and _whole_view_bad(length[e, v], bad[e, v], seen[e, v], problem.weight[e, v], sigma)]
+        wrong = [e for e in (0, 1) if seen[e, v].any() and _whole_view_bad(length[e, v] * problem.weight[e, v], seen[e, v], sigma)]
         reason = ""
         if wrong and seen[:, v].any(axis=1).all():
             wrong, reason = _whose_fault(problem, placed.state, sigma, v)
@@ -308,8 +308,9 @@ def _length_rms(length: Float64) -> float:
     return float(np.sqrt((length**2).mean()))
 
 
-def _whole_view_bad(length: Float64, bad: Bool, seen: Bool, weight: Float64, sigma: float) -> bool:
-    return bool(bad.sum() > BAD_SHARE * seen.sum() or np.median((length * weight)[seen]) > BAD_VIEW * RAYLEIGH_MEDIAN * sigma)
+def _whole_view_bad(weighted: Float64, seen: Bool, sigma: float) -> bool:
+    gross = (weighted[seen] > 2 * BAD_CORNER * sigma).mean() > BAD_SHARE
+    return bool(gross or np.median(weighted[seen]) > BAD_VIEW * RAYLEIGH_MEDIAN * sigma)
 
 
 def _whose_fault(problem: Problem, state: State, sigma: float, v: int) -> tuple[list[int], str]:
@@ -320,9 +321,7 @@ def _whose_fault(problem: Problem, state: State, sigma: float, v: int) -> tuple[
         weight[e, v] = problem.weight[e, v]
         own = boards_placed(replace(problem, weight=weight), state, sigma)
         length = np.linalg.norm(own.residual_px[e, v], axis=-1)
-        seen = own.problem.seen[e, v]
-        bad = seen & (length * weight[e, v] > BAD_CORNER * sigma)
-        alone.append(_whole_view_bad(length, bad, seen, weight[e, v], sigma))
+        alone.append(_whole_view_bad(length * weight[e, v], own.problem.seen[e, v], sigma))
     if alone[0] != alone[1]:
         return [alone.index(True)], f"the {EYES[alone.index(True)]} eye's corners do not fit the board, the other eye's do"
     if alone[0]:
