@@ -7,31 +7,45 @@ from typing import Literal
 
 import click
 
-from stereorelight.cli.common import eye_option, force_option, frames_option, json_option, out_option, report, rig_option, space_option
+from stereorelight.cli.common import (
+    eye_option,
+    force_option,
+    frames_option,
+    json_option,
+    out_option,
+    pairing_options,
+    report,
+    rig_option,
+    space_option,
+)
 
 
 @click.command("depth")
 @click.argument("left")
-@click.argument("right")
+@click.argument("right", required=False)
 @rig_option
 @out_option
 @eye_option
 @click.option("--quality", default="standard", show_default=True, help="draft, standard or fine.")
 @click.option("--near", "near_m", type=float, metavar="M", help="Nearest distance to search, metres; found from the plates when left out.")
 @click.option("--far", "far_m", type=float, metavar="M", help="Farthest one.")
+@pairing_options
 @frames_option
 @space_option
 @force_option
 @json_option
 def command(
     left: str,
-    right: str,
+    right: str | None,
     rig_path: Path,
     out: str,
     eye: Literal["left", "right"],
     quality: str,
     near_m: float | None,
     far_m: float | None,
+    layout: str,
+    sync: str,
+    right_late_frames: int,
     frames: str | None,
     colour_space: str,
     force: bool,
@@ -39,8 +53,8 @@ def command(
 ) -> None:
     """Z of LEFT and RIGHT on the original plate of one eye.
 
-    LEFT and RIGHT are pictures, or patterns such as plates/left.####.exr.  Writes an EXR with Z (metres along the
-    optical axis), confidence and flags.
+    LEFT and RIGHT are pictures, movies, or patterns such as plates/left.####.exr; LEFT alone where one file holds both
+    eyes.  Writes an EXR with Z (metres along the optical axis), confidence and flags.
     """
     from dataclasses import replace
 
@@ -55,7 +69,7 @@ def command(
 
     settings = DepthSettings(quality=quality, near_m=near_m, far_m=far_m)
     rectified = rectification(read_rig(rig_path))
-    found = pairs(left, right, frames=frames, colour_space=colour_space)
+    found = pairs(left, right, frames=frames, layout=layout, sync=sync, right_late_frames=right_late_frames, colour_space=colour_space)
     paths = outputs_for(out, [pair.number for pair in found], force=force)
     results = []
     with Bar("depth", total=len(found)) as bar:
@@ -63,7 +77,9 @@ def command(
             bar.note(pair.name)
             plates = read_upright(pair, rectified)
             frame = recover_pair(pair, plates, rectified, settings=settings, eye=eye).frame
-            write_frame(path, replace(frame, number=pair.number, metadata=flip_word(rectified, eye)), force=force)
+            clip, number = pair.clip(eye)
+            named = replace(frame, number=pair.number, metadata=flip_word(rectified, eye))
+            write_frame(path, named, force=force, timecode=clip.timecode(number), rate=clip.rate)
             results.append({"frame": pair.number, "file": str(path), **depth_figures(frame)})
             bar.note(pair.name, advance=1)
     first = results[0]

@@ -6,19 +6,32 @@ from pathlib import Path
 
 import click
 
-from stereorelight.cli.common import force_option, frames_option, json_option, report, rig_option, space_option
+from stereorelight.cli.common import force_option, frames_option, json_option, pairing_options, report, rig_option, space_option
 
 
 @click.command("rectify")
 @click.argument("left")
-@click.argument("right")
+@click.argument("right", required=False)
 @rig_option
 @click.option("--out", "folder", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder for the rectified plates and their rig.")
+@pairing_options
 @frames_option
 @space_option
 @force_option
 @json_option
-def command(left: str, right: str, rig_path: Path, folder: Path, frames: str | None, colour_space: str, force: bool, as_json: bool) -> None:
+def command(
+    left: str,
+    right: str | None,
+    rig_path: Path,
+    folder: Path,
+    layout: str,
+    sync: str,
+    right_late_frames: int,
+    frames: str | None,
+    colour_space: str,
+    force: bool,
+    as_json: bool,
+) -> None:
     """LEFT and RIGHT with their lenses undone and their rows aligned.
 
     Writes left and right as scene-linear EXR (NaN where a plate does not reach) and rig.json, the rig of the rectified
@@ -34,7 +47,7 @@ def command(left: str, right: str, rig_path: Path, folder: Path, frames: str | N
     from stereorelight.stereo.rectify import rectification
 
     rectified = rectification(read_rig(rig_path))
-    found = pairs(left, right, frames=frames, colour_space=colour_space)
+    found = pairs(left, right, frames=frames, layout=layout, sync=sync, right_late_frames=right_late_frames, colour_space=colour_space)
 
     def target(eye: str, number: int | None) -> Path:
         return folder / (f"{eye}.exr" if number is None else f"{eye}.{number:04d}.exr")

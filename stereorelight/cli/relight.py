@@ -44,10 +44,11 @@ def command(
     from stereorelight.cli.progress import Bar
     from stereorelight.comp import relight
     from stereorelight.errors import PassError
+    from stereorelight.footage.clip import open_clip
+    from stereorelight.footage.eyes import plate_frames
     from stereorelight.footage.frames import read_frame, write_frame
-    from stereorelight.footage.plates import read_plate
     from stereorelight.footage.preview import plate_picture
-    from stereorelight.footage.sequence import Sequence, common_frames
+    from stereorelight.footage.sequence import Sequence
     from stereorelight.footage.stills import write_still
     from stereorelight.light.shade import light_layers
     from stereorelight.passes import Frame
@@ -56,8 +57,8 @@ def command(
     from stereorelight.shot.steps import relight_figures
 
     lights = read_lights(lights_path)
-    pictures, surfaces = Sequence.parse(plate), Sequence.parse(passes)
-    numbers: list[int | None] = list(common_frames(pictures, surfaces, frames)) or [None]
+    pictures, surfaces = open_clip(plate, colour_space=colour_space), Sequence.parse(passes)
+    numbers = plate_frames(pictures, surfaces, frames)
     paths = outputs_for(out, numbers, force=force)
     previews = outputs_for(preview, numbers, force=force) if preview else [None] * len(numbers)
     results = []
@@ -65,7 +66,7 @@ def command(
         for number, path, picture in zip(numbers, paths, previews):
             bar.note(path.name)
             frame = read_frame(surfaces.path(number))
-            light_on = read_plate(pictures.path(number), colour_space=colour_space)
+            light_on = pictures.read(number)
             if frame.metadata.get(FLIPPED):
                 light_on = np.ascontiguousarray(light_on[:, ::-1])
             for name in ("P", "N"):
@@ -74,12 +75,12 @@ def command(
             if light_on.shape[:2] != frame.size_hw:
                 sizes = [f"{h}x{w}" for w, h in (light_on.shape[:2], frame.size_hw)]
                 raise PassError(
-                    f"{surfaces.path(number)}: is {sizes[1]}, but the plate {pictures.path(number)} is {sizes[0]}; use passes of this plate"
+                    f"{surfaces.path(number)}: is {sizes[1]}, but the plate {pictures.name(number)} is {sizes[0]}; use passes of this plate"
                 )
             layers = light_layers(frame["P"], frame["N"], light_on, lights, camera=frame.camera)
             beauty = relight(light_on, layers, plate_gain=plate_gain)
             relit = Frame(passes={"beauty": beauty, **layers}, camera=frame.camera, eye=frame.eye, number=number, metadata=frame.metadata)
-            write_frame(path, relit, half=colour == "half", force=force)
+            write_frame(path, relit, half=colour == "half", force=force, timecode=pictures.timecode(number), rate=pictures.rate)
             if picture:
                 write_still(picture, plate_picture(beauty), force=force)
             results.append({"frame": number, "file": str(path), **relight_figures(layers, beauty)})

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from stereorelight.errors import PlateError, ShotError, nearest_hint
 from stereorelight.footage.clip import PACKED, Clip, is_movie, open_clip
-from stereorelight.footage.sequence import common_frames, frame_range, frames_text
+from stereorelight.footage.sequence import Sequence, common_frames, frame_range, frames_text
 
 Sync = Literal["auto", "frames", "timecode"]
 SYNCS: tuple[Sync, ...] = ("auto", "frames", "timecode")
@@ -137,6 +137,21 @@ def _paired(left: Clip, right: Clip, shift: int, wanted: str | None, *, cut: boo
                 remedy = f"Give --frames {frames_text(inside)}" if inside else f"Both eyes have {frames_text(both)}"
                 raise PlateError(f"{clip.pictures.pattern}: has no frame {n}; it has {frames_text(have)}. {remedy}")
     return numbers
+
+
+def plate_frames(plates: Clip, passes: Sequence, wanted: str | None) -> list[int | None]:
+    """The frames that plates and their passes share, or `wanted`; [None] for single pictures.  Raises PlateError."""
+    if not plates.is_movie:
+        return list(common_frames(plates.pictures, passes, wanted)) or [None]
+    if passes.is_single:
+        raise PlateError(f"{passes.pattern}: is a single file, but the plate is a movie; give the passes by a pattern such as passes.####.exr")
+    numbers = frame_range(wanted) if wanted else tuple(sorted(set(plates.frames) & set(passes.frames)))
+    for n in numbers or (plates.frames[0],):
+        plates.check_frame(n)
+        if n not in passes.frames:
+            have = f"the passes have {frames_text(passes.frames)}, the movie {frames_text(plates.frames)}"
+            raise PlateError(f"{passes.path(n).name}: frame missing; {have}")
+    return list(numbers)
 
 
 def open_eyes(

@@ -20,9 +20,15 @@ A shot of stereorelight.  Change what you like, then run it again; only what cha
 Paths are from this file's folder.  Lengths are metres, angles degrees.  Lights stand in the scene frame of the left
 camera: x right, y up, the camera at (0, 0, 0) looking down -z; so z = -2 is two metres in front of the lens."""
 
-PLATES = "One picture, or a sequence by name.####.exr or name.%04d.exr"
-FRAMES = 'frames = "1001-1010"       # part of a sequence; all of it when left out'
-COLOUR = "auto: by the kind of file"
+PLATES = """\
+Pictures, sequences (name.####.exr, name.%04d.exr, %V for the eye), or movies; left alone where one file holds both eyes"""
+FRAMES = """\
+frames = "1001-1010"       # part of a sequence; all of it when left out
+layout = "side-by-side"    # how one file holds both eyes; also side-by-side-half, top-bottom, top-bottom-half
+right_late_frames = 0      # the right camera is so many whole frames behind
+match_colour = "global"    # give the right eye the left one's colours; "local" area by area"""
+COLOUR = "auto: by the kind of file; or what the camera recorded, such as S-Log3"
+DRIFT = 'drift = "shot"             # mend a rig that moved since its calibration, from the plates; "frame" for a zoom'
 RIG = "The two cameras: lenses, and where the right one stands from the left one"
 QUALITY = "draft, standard or fine: how much time a frame may take"
 RANGE = """\
@@ -41,7 +47,8 @@ and for each of them: name, enabled, intensity (1 makes a white card that faces 
 (stops), color, diffuse and specular (strengths), exponent (10 is dull, 200 is glossy), wrap (0 to 1)."""
 OUTPUT = """\
 preview_near_m = 1.0       # nearest and farthest distance in the depth previews;
-preview_far_m = 8.0        # measured once on the first frame when left out"""
+preview_far_m = 8.0        # measured once on the first frame when left out
+movies = ["relit", "wipe"] # of a sequence; also plate, depth, normals, anaglyph; movie_codec = "prores" for ProRes"""
 
 
 def _inline(value: Any) -> Item:
@@ -99,7 +106,9 @@ def shot_text(
     _put(plates, "right", right)
     _say(plates, FRAMES)
     _put(plates, "colour_space", colour_space, COLOUR)
-    _put(section("rig"), "file", rig, RIG)
+    rig_table = section("rig")
+    _put(rig_table, "file", rig, RIG)
+    _say(rig_table, DRIFT)
     depth_table = section("depth")
     _put(depth_table, "quality", "standard", QUALITY)
     for key, value in (depth or {}).items():
