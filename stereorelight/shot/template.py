@@ -25,7 +25,7 @@ Pictures, sequences (name.####.exr, name.%04d.exr, %V for the eye), or movies; l
 FRAMES = """\
 frames = "1001-1010"       # part of a sequence; all of it when left out
 layout = "side-by-side"    # how one file holds both eyes; also side-by-side-half, top-bottom, top-bottom-half
-right_late_frames = 0      # the right camera is so many whole frames behind
+right_late_frames = 0      # the right eye is so many whole frames behind
 match_colour = "global"    # give the right eye the left one's colours; "local" area by area"""
 COLOUR = "auto: by the kind of file; or what the camera recorded, such as S-Log3"
 DRIFT = 'drift = "shot"             # mend a rig that moved since its calibration, from the plates; "frame" for a zoom'
