@@ -53,6 +53,10 @@ class Detection:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def where(self, keep: Bool) -> Detection:
+        """Only the corners for which `keep` (n,) is true."""
+        return replace(self, ids=self.ids[keep], px=self.px[keep], sigma_px=self.sigma_px[keep], refined=self.refined[keep])
+
     def flipped(self) -> Detection:
         """The same corners in the picture flipped left-right."""
         px = np.stack([self.size[0] - 1 - self.px[:, 0], self.px[:, 1]], axis=-1)
@@ -169,6 +173,8 @@ def turned(detection: Detection, board: Board, quarter_turns: int) -> Detection:
 
 def _refined(grey: Float32, board: Board, ids: npt.NDArray[np.int64], px: Float64) -> Detection:
     fit = refine_corners(grey, board, ids, px)
+    if board.kind != "chessboard" and fit.refined.sum() >= FEWEST_CORNERS:
+        return _detection(grey, ids, fit).where(fit.refined)  # a marker's own corners are pixels off: worth nothing beside fitted ones
     if board.kind == "chessboard":
         nx, _ = board.grid
         dark_first = -float(np.sum(fit.bright_first * np.where((ids % nx + ids // nx) % 2, -1, 1)))

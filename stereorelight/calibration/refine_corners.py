@@ -14,12 +14,13 @@ from stereorelight.arrays import Bool, Float32, Float64
 from stereorelight.calibration.board import APRILGRID_BORDER_BITS, Board
 from stereorelight.engine.corners import fit_corners
 
-REACH = {"chessboard": 0.75, "charuco": 0.75, "aprilgrid": 0.27}  # half the window, in squares
+REACH = {"chessboard": 0.5, "charuco": 0.6, "aprilgrid": 0.27}  # half the window, in squares
 FIRST_REACH = {"chessboard": 0.38, "charuco": 0.3, "aprilgrid": 0.24}
 MOST_RADIUS_PX = 24.0  # a wider window costs more than it tells
 CUBIC_FROM, QUADRATIC_FROM = 24, 12  # corners that carry the lens's bend
 BLUR_FOR_MOTION_PX = 1.35  # s above which movement is tried
 MOTION_PAYS = 0.97  # of the squared residual
+FURTHEST, FURTHEST_PX = 0.1, (1.5, 6.0)  # of a square, and in pixels: how far a detector may have been off
 CLIP_LEVELS = 1.0  # an 8-bit picture clips within a level of its ends
 NEIGHBOUR_PX = 0.5  # a corner may stand so far off the smooth grid before it is doubted, or 8 times the rest
 
@@ -136,6 +137,7 @@ def refine_corners(
     fixed = {"low": low + CLIP_LEVELS, "high": high - CLIP_LEVELS, "most_radius_px": MOST_RADIUS_PX}
     shapes, bends = local_shapes(board, ids, px)
     pitch = float(np.median(1 / np.linalg.norm(shapes, axis=2)))
+    furthest_px = float(np.clip(FURTHEST * pitch, *FURTHEST_PX))
     fit = fit_corners(
         grey, px, shapes, 0 * bends, depths, blur=(1.0, 1.0), margin_px=1.5, reach=max(near, 4.5 / pitch), furthest_px=furthest_px, **fixed
     )
