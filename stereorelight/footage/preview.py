@@ -170,16 +170,22 @@ def _srgb_tables() -> tuple[Float32, UInt8]:
     return decode(np.arange(256) / 255, "sRGB"), _u8(encode(np.arange(ENCODE_STEPS + 1) / ENCODE_STEPS, "sRGB"))
 
 
-def anaglyph(left: UInt8, right: UInt8, *, method: Anaglyph = "dubois") -> UInt8:
+def anaglyph(left: UInt8, right: UInt8, *, method: Anaglyph = "dubois", shift_px: int = 0) -> UInt8:
     """Both eyes' (H, W, 3) sRGB pictures as one for red-cyan glasses, red on the left eye.
 
     method : "dubois", colours by least squares with the least ghosting, or "half-colour", the left eye's luma in red and the
              right eye's own green and blue, which other programs know under that name.
+    shift_px: disparity that comes to lie in the plane of the screen; the picture is that much narrower.
     Rows of the two should agree: take rectified pictures.
     Raises : PassError for pictures of two sizes or an unknown method.
     """
     if left.shape != right.shape:
         raise PassError(f"left and right must have one size for an anaglyph, got {left.shape} and {right.shape}")
+    width = left.shape[1]
+    if abs(shift_px) >= width:
+        raise PassError(f"an anaglyph {width} px wide cannot be shifted by {shift_px} px")
+    left = left[:, max(shift_px, 0) : width + min(shift_px, 0)]
+    right = right[:, max(-shift_px, 0) : width - max(shift_px, 0)]
     if method == "half-colour":
         luma = left.astype(np.float32) @ np.array(LUMA, np.float32)
         return np.dstack([np.rint(luma).astype(np.uint8), right[..., 1:]])

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from stereorelight.arrays import Float32, UInt8
 from stereorelight.footage.preview import anaglyph, plate_picture, shrunk
 from stereorelight.health.finding import Finding
-from stereorelight.shot.check_look import Look
+from stereorelight.shot.check_look import Look, rectified_points
 from stereorelight.stereo.rectify import Rectification
 
 WIDTH_PX = 720
@@ -56,7 +56,10 @@ def pictures_of(
     made = [(f"Left and right {how}, first frame looked at: a point lies on one line in both", rows_picture(*views))]
     if views[0].shape == views[1].shape:
         shown = [shrunk(plate_picture(view), WIDTH_PX) for view in views]
-        made.append((f"Red-cyan anaglyph, {how}", anaglyph(shown[0], shown[1])))
+        shift = _middle_disparity(looks, rectified) * shown[0].shape[1] / views[0].shape[1]
+        made.append(
+            (f"Red-cyan anaglyph, {how}, the median distance in the plane of the screen", anaglyph(shown[0], shown[1], shift_px=round(shift)))
+        )
     size = sample[0].shape[:2]
     vertical = next((f.details.get("map_px") for f in findings if f.name == "vertical" and f.details.get("map_px") is not None), None)
     if vertical is not None:
@@ -78,6 +81,16 @@ def pictures_of(
             )
         )
     return tuple(made)
+
+
+def _middle_disparity(looks: Sequence[Look], rectified: Rectification | None) -> float:
+    """Median disparity of the first frame looked at, px of the views shown; 0 where nothing matches."""
+    matches = looks[0].matches
+    if len(matches) == 0:
+        return 0.0
+    left, right = (matches.left, matches.right) if rectified is None else rectified_points(rectified, matches)
+    middle = float(np.median(left[:, 0] - right[:, 0]))
+    return min(max(middle, -matches.size[0] / 3), matches.size[0] / 3)
 
 
 def _mean(stack: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:

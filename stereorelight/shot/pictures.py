@@ -32,8 +32,13 @@ def shown(linear: Float32, shot: Shot) -> UInt8:
 
 
 def _anaglyph(job: FrameJob) -> UInt8:
+    """Both eyes rectified; what lies half way between the previews' near and far, in disparity, is in the plane of the screen."""
     views = [job.rectification.rectify(plate, eye) for plate, eye in zip(job.plates, EYES)]
-    return preview.anaglyph(shown(views[0], job.shot), shown(views[1], job.shot))
+    near, far = job.preview_range_m
+    middle = float(job.rectification.rig.disparity_from_depth(2 / (1 / near + 1 / far)))
+    width = views[0].shape[1]
+    shift = round(min(max(middle, -width / 3), width / 3))
+    return preview.anaglyph(shown(views[0], job.shot), shown(views[1], job.shot), shift_px=shift)
 
 
 def scene_pictures(job: FrameJob) -> dict[str, UInt8]:

@@ -31,7 +31,9 @@ def _both(*parts: Primitive) -> list[Primitive]:
     return out
 
 
-def _skin() -> tuple[Primitive, ...]:
+def _skin(swing_deg: float) -> tuple[Primitive, ...]:
+    """Head, neck and chest in the head's frame; the chest stays with the body while the head swings."""
+    chest = rotation(y_deg=-swing_deg) @ (0.0, -0.275, -0.035)
     skull = [
         ellipsoid((0, 0.026, -0.020), (0.0745, 0.089, 0.094)),
         ellipsoid((0, -0.030, 0.014), (0.0605, 0.074, 0.066), blend_m=0.03),
@@ -45,7 +47,9 @@ def _skin() -> tuple[Primitive, ...]:
             limb((0.033, -0.085, -0.020), (0.012, -0.195, 0.018), 0.012, 0.010, blend_m=0.03),  # neck muscle
             limb((0.014, -0.188, 0.022), (0.056, -0.197, 0.000), 0.009, 0.008, blend_m=0.03),  # collar bone
         ),
-        ellipsoid((0, -0.275, -0.035), (0.150, 0.085, 0.070), blend_m=0.05),  # chest under the shirt
+        ellipsoid(
+            (float(chest[0]), float(chest[1]), float(chest[2])), (0.150, 0.085, 0.070), blend_m=0.05, y_deg=-swing_deg
+        ),  # chest under the shirt
         limb((0, -0.104, 0.010), (0, -0.125, 0.000), 0.016, 0.014, blend_m=0.03),  # under the chin
         ball((0, -0.140, 0.020), 0.010, blend_m=0.025),  # throat
     ]
@@ -196,7 +200,14 @@ def bust(*, texture: float = 1.0, face_texture: float | None = None, frame: floa
 
     figure = (
         Object(
-            name="skin", kind="solid", material=skin, origin_m=HEAD_M, R_world_object=turned, size=(0.27,), bound_m=(0, -0.12, 0), primitives=_skin()
+            name="skin",
+            kind="solid",
+            material=skin,
+            origin_m=HEAD_M,
+            R_world_object=turned,
+            size=(0.27,),
+            bound_m=(0, -0.12, 0),
+            primitives=_skin(swing),
         ),
         Object(
             name="hair",
