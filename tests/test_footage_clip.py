@@ -32,11 +32,13 @@ def same(clip: Clip, frames: list[np.ndarray], within: float) -> None:
         np.testing.assert_allclose(shown(clip, number), frame, atol=within)
 
 
-@pytest.mark.parametrize(("name", "codec", "mean", "most"), [("a.mkv", "ffv1", 2e-4, FFV1), ("a.mov", "prores", 1e-3, 0.03), ("a.mp4", "h264", 6e-3, 0.06)])
+@pytest.mark.parametrize(
+    ("name", "codec", "mean", "most"), [("a.mkv", "ffv1", 2e-4, FFV1), ("a.mov", "prores", 1e-3, 0.03), ("a.mp4", "h264", 6e-3, 0.06)]
+)
 def test_a_movie_is_its_pictures(tmp_path: Path, name: str, codec: str, mean: float, most: float) -> None:
     frames = pictures("left")
     clip = open_clip(movie(tmp_path / name, frames, codec=codec))
-    assert clip.is_movie and not clip.is_single
+    assert (clip.is_movie, clip.is_single) == (True, False)
     assert clip.frames == (1, 2, 3, 4, 5)
     assert clip.rate == 24
     for number in (3, 1, 5, 2, 4, 4):
@@ -79,7 +81,7 @@ def test_a_sequence_a_picture_and_a_view(tmp_path: Path) -> None:
     assert clip.frames == (1001, 1002, 1003)
     same(clip, frames, 2 / 65535)
     single = open_clip(tmp_path / "a.1002.png")
-    assert single.is_single and single.frames == ()
+    assert (single.is_single, single.frames) == (True, ())
     np.testing.assert_array_equal(single.read(), clip.read(1002))
     plate = clip.read(1001)
     both = exr(tmp_path / "both.exr", {"left": plate, "right": 2 * plate})
@@ -231,15 +233,15 @@ def test_a_movie_cut_short_gives_every_frame_before_the_cut(tmp_path: Path, name
     frames = [np.clip(picture("left", k, size=(160, 90)) + rng.normal(0, 0.03, (90, 160, 3)), 0, 1).astype(np.float32) for k in range(24)]
     whole = open_clip(movie(tmp_path / f"whole_{name}", frames, codec=codec))
     clip = open_clip(cut(movie(tmp_path / name, frames, codec=codec), 0.6))
-    good = []
+    good, why = [], ""
     for number in clip.frames:
         try:
             np.testing.assert_array_equal(clip.read(number), whole.read(number))
         except PlateError as error:
-            assert name in str(error)
-            assert "cut short" in str(error)
+            why = str(error)
             break
         good.append(number)
+    assert not why or (name in why and "cut short" in why)
     assert 8 <= len(good) < 24
     assert good == list(range(1, len(good) + 1))
     close_movies()

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
 from stereorelight.errors import PlateError, ShotError, nearest_hint
 from stereorelight.footage.clip import PACKED, Clip, is_movie, open_clip
+from stereorelight.footage.exr import read_exr, read_header
 from stereorelight.footage.sequence import Sequence, common_frames, frame_range, frames_text
 
 Sync = Literal["auto", "frames", "timecode"]
@@ -73,35 +75,67 @@ def _one_file(path: str | Path, *, layout: str, settings: Mapping[str, Any]) -> 
             raise PlateError(f"{path}: is given for both eyes, but has one video track and no stereo tag; {remedy}") from None
         return left, right, [f"{path} holds the left eye in track 0 and the right eye in track 1"]
     left, right = (open_clip(path, eye=eye, view=eye, **settings) for eye in ("left", "right"))
-    if left.file(left.frames[0] if left.frames else None).suffix.lower() != ".exr":
-        raise PlateError(f'{path}: is given for both eyes; name the right plate, or say how it holds both, such as layout = "side-by-side"')
+    first = left.file(left.frames[0] if left.frames else None)
+    if first.suffix.lower() != ".exr" or not _has_views(first):
+        one = ", but has one view" if first.suffix.lower() == ".exr" else ""
+        raise PlateError(f'{first}: is given for both eyes{one}; name the right plate, or say how it holds both, such as layout = "side-by-side"')
     return left, right, []
+
+
+def _has_views(path: Path) -> bool:
+    header = read_header(path).header
+    if header.get("view") or header.get("multiView"):
+        return True
+    return any(part.view for part in read_exr(path))  # parts that belong to every eye may come first
+
+
+def _start(clip: Clip, sync: str) -> str | None:
+    """Time code of a clip's first frame; that of a sequence only where asked for, since its frames have numbers to go by."""
+    if clip.is_movie:
+        return clip.start_timecode
+    return clip.timecode(clip.frames[0]) if sync == "timecode" else None
+
+
+def _apart(codes: tuple[str, str], clips: tuple[Clip, Clip], rate: Fraction) -> int:
+    """By how many frames the second clip starts later than the first, the shorter way round the clock."""
+    from stereorelight.footage.movie.timecode import Timecode
+
+    clip = clips[0]
+    try:
+        first = Timecode.parse(codes[0], rate)
+        clip = clips[1]
+        second = Timecode.parse(codes[1], rate)
+        later = second - first
+    except PlateError as error:
+        raise PlateError(f'{clip.pictures.pattern}: {error}; or use sync = "frames"') from None
+    after, before = replace(first, frames=later).frames, replace(first, frames=-later).frames
+    return after if after <= before else -before
 
 
 def _timecode_shift(left: Clip, right: Clip, sync: str) -> tuple[int, list[str]]:
     """By how many frames the right clip counts ahead of the left one at the same time code."""
-    both = left.is_movie and right.is_movie and left.start_timecode and right.start_timecode
-    if sync == "frames" or (sync == "auto" and not both):
+    if sync == "frames":
         return 0, []
-    if not both:
-        lacking = [clip.pictures.pattern for clip in (left, right) if not clip.start_timecode]
-        raise PlateError(f'{lacking[0]}: carries no time code; use sync = "frames", and right_late_frames where the eyes start apart')
-    from stereorelight.footage.movie.timecode import Timecode
-
-    rate = left.rate
-    assert rate is not None
-    starts = [Timecode.parse(str(clip.start_timecode), rate).frames for clip in (left, right)]
-    apart = starts[1] - starts[0]
-    shift = (right.first_frame - left.first_frame) - apart
+    first, second = _start(left, sync), _start(right, sync)
+    if first is None or second is None:
+        if sync == "auto":
+            return 0, []
+        lacking = left if first is None else right
+        raise PlateError(f'{lacking.pictures.pattern}: carries no time code; use sync = "frames", and right_late_frames where the eyes start apart')
+    rate = left.rate or right.rate
+    if rate is None:
+        raise PlateError(f'{left.pictures.pattern}: carries time code, but neither eye says its frames a second; use sync = "frames"')
+    apart = _apart((first, second), (left, right), rate)
+    shift = right.frames[0] - left.frames[0] - apart
     if apart == 0:
         return shift, []
-    if abs(apart) >= max(len(left.frames), len(right.frames)):
+    if apart >= len(left.frames) or -apart >= len(right.frames):
         if sync == "auto":
-            words = f"time codes {left.start_timecode} and {right.start_timecode} do not overlap: the eyes are paired from their first frames"
-            return right.first_frame - left.first_frame, [words]
-        codes = f"time code runs from {right.start_timecode}, the left eye's from {left.start_timecode}, and they do not overlap"
-        raise PlateError(f'{right.pictures.pattern}: {codes}; use sync = "frames"')
-    return shift, [f"paired by time code: the right movie starts {abs(apart)} frame{'s' * (abs(apart) > 1)} {'later' if apart > 0 else 'earlier'}"]
+            return 0, [f"time codes {first} and {second} do not overlap: the eyes are paired from their first frames"]
+        told = f"time code runs from {second}, the left eye's from {first}, and they do not overlap"
+        raise PlateError(f'{right.pictures.pattern}: {told}; use sync = "frames"')
+    kind = "movie" if right.is_movie else "sequence"
+    return shift, [f"paired by time code: the right {kind} starts {abs(apart)} frame{'s' * (abs(apart) > 1)} {'later' if apart > 0 else 'earlier'}"]
 
 
 def _check_alike(left: Clip, right: Clip) -> None:
@@ -131,11 +165,12 @@ def _paired(left: Clip, right: Clip, shift: int, wanted: str | None, *, cut: boo
             raise PlateError(f"{right.pictures.pattern}: {what}. Give --frames {frames_text(both)}, or restore the missing ones")
         return tuple(both)
     for n in numbers:
-        for clip, have in ((left, left.frames), (right, moved)):
-            if n not in set(have):
+        for clip, own in ((left, n), (right, n + shift)):
+            if own not in set(clip.frames):
                 inside = [f for f in numbers if f in set(both)]
                 remedy = f"Give --frames {frames_text(inside)}" if inside else f"Both eyes have {frames_text(both)}"
-                raise PlateError(f"{clip.pictures.pattern}: has no frame {n}; it has {frames_text(have)}. {remedy}")
+                beside = f" to go with {n} of the left eye" if own != n else ""
+                raise PlateError(f"{clip.pictures.pattern}: has no frame {own}{beside}; it has {frames_text(clip.frames)}. {remedy}")
     return numbers
 
 
@@ -170,7 +205,7 @@ def open_eyes(
     """The clips that `left` and `right` name, and their common frames.
 
     right             : None, or the same as `left`, where one file holds both eyes: packed, as two tracks, or as two views.
-    layout            : one of clip.LAYOUTS.        sync : "timecode", "frames", or "auto": by time code where both movies carry one.
+    layout            : one of clip.LAYOUTS.        sync : "timecode", "frames", or "auto": by time code where both are movies that carry one.
     right_late_frames : the right camera is so many whole frames behind: its picture of a moment comes so much later.
     swap              : what is called left is the right eye's.
     settings          : first_frame, matrix, levels for movies.
@@ -183,6 +218,10 @@ def open_eyes(
     if same and not ("%V" in str(left) or "%v" in str(left)):
         a, b, notes = _one_file(left, layout=layout, settings=settings)
     else:
+        if layout in PACKED:
+            raise PlateError(
+                f"{right or left}: is named for one eye, but the layout {layout} is of one file that holds both; leave one of the two out"
+            )
         a = open_clip(left, eye="left", layout="separate" if layout == "auto" else layout, **settings)
         b = open_clip(left if right is None else right, eye="right", layout="separate" if layout == "auto" else layout, **settings)
         notes = []
@@ -194,12 +233,13 @@ def open_eyes(
     if a.is_single:
         if frames:
             a.pictures.with_frames(frames)
+        if right_late_frames:
+            raise ShotError(f"{b.file()}: is a single picture, which cannot be {right_late_frames} frames late; leave right_late_frames out")
         return Eyes(left=a, right=b, notes=tuple(notes))
     shift, words = _timecode_shift(a, b, sync)
     if right_late_frames:
-        words.append(
-            f"the right eye is taken {abs(right_late_frames)} frames {'later' if right_late_frames > 0 else 'earlier'}, as the shot file asks"
-        )
+        count = f"{abs(right_late_frames)} frame{'s' * (abs(right_late_frames) > 1)}"
+        words.append(f"the right eye is taken {count} {'later' if right_late_frames > 0 else 'earlier'}, as the shot file asks")
     shift += right_late_frames
     cut = bool(words)
     numbers = _paired(a, b, shift, frames, cut=cut)
