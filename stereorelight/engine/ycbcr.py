@@ -5,6 +5,7 @@ Arithmetic is strict (no fast-math): black, white and greys come back exactly, a
 
 from __future__ import annotations
 
+import weakref
 from typing import Any
 
 import numpy as np
@@ -52,19 +53,23 @@ def _matrix(n, luma, blue, red, r_cr, g_cb, g_cr, b_cb, r, g, b):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _curve(n, table, rises, low, per_step, row, steps):
-    """`row` through a curve sampled evenly; beyond its ends the outer steps go on straight.  `steps` is scratch."""
-    last = f4(rises.shape[0] - 1)
-    # Two loops, since the first becomes vector code and the look-up cannot.
+def _curve(n, pairs, low, per_step, row, found, halves):
+    """`row` through a curve sampled evenly; beyond its ends the outer steps go on straight.
+
+    pairs : `pairs_of` the curve.  found (n,) int64 is scratch, halves the same memory as float32.
+    """
+    last = f4(pairs.shape[0] - 1)
+    # Three loops: the first and the last become vector code, and the look-up between them is one load a sample.
     for i in range(n):
         t = (row[i] - low) * per_step
         inside = t if t > f4(0) else f4(0)
-        k = np.int32(inside if inside < last else last)
-        steps[i] = k
-        row[i] = t - f4(k)
+        step = np.int32(inside if inside < last else last)
+        found[i] = step
+        row[i] = t - f4(step)
     for i in range(n):
-        k = np.uint32(steps[i])
-        row[i] = table[k] + row[i] * rises[k]
+        found[i] = pairs[np.uint32(found[i])]
+    for i in range(n):
+        row[i] = halves[2 * i] + row[i] * halves[2 * i + 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -86,11 +91,11 @@ def _interleaved_matrix(n, r, g, b, m, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _finished(n, r, g, b, table, rises, low, per_step, m, steps, out):
-    if table.shape[0] > 1:
-        _curve(n, table, rises, low, per_step, r, steps)
-        _curve(n, table, rises, low, per_step, g, steps)
-        _curve(n, table, rises, low, per_step, b, steps)
+def _finished(n, r, g, b, pairs, low, per_step, m, found, halves, out):
+    if pairs.shape[0]:
+        _curve(n, pairs, low, per_step, r, found, halves)
+        _curve(n, pairs, low, per_step, g, found, halves)
+        _curve(n, pairs, low, per_step, b, found, halves)
     if m.shape[0] == 3:
         _interleaved_matrix(n, r, g, b, m, out)
     else:
@@ -116,35 +121,55 @@ def _chroma(y, n, plane, rows, halved, above, below, before, after, zero, span, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _from_ycbcr(first, end, luma, blue, red, halved, siting, zeros, spans, weights, table, rises, low, per_step, m, out):
+def _from_ycbcr(first, end, luma, blue, red, halved, siting, zeros, spans, weights, pairs, low, per_step, m, out):
     W = out.shape[1] // 3
     H = out.shape[0]
     n = (W + 1) // 2 if halved[1] else W
     rows = (H + 1) // 2 if halved[0] else H
     room = W + 4
     line, l, cb, cr = np.empty(room, f4), np.empty(room, f4), np.empty(room, f4), np.empty(room, f4)
-    r, g, b, steps = np.empty(room, f4), np.empty(room, f4), np.empty(room, f4), np.empty(room, np.int32)
+    r, g, b, found = np.empty(room, f4), np.empty(room, f4), np.empty(room, f4), np.empty(room, np.int64)
+    halves = found.view(np.float32)
     above, below, before, after = siting
     for y in range(first, end):
         _level(W, luma[y], zeros[0], spans[0], l)
         _chroma(y, n, blue, rows, halved, above, below, before, after, zeros[1], spans[1], line, cb)
         _chroma(y, n, red, rows, halved, above, below, before, after, zeros[1], spans[1], line, cr)
         _matrix(W, l, cb, cr, weights[0], weights[1], weights[2], weights[3], r, g, b)
-        _finished(W, r, g, b, table, rises, low, per_step, m, steps, out[y])
+        _finished(W, r, g, b, pairs, low, per_step, m, found, halves, out[y])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _from_rgb(first, end, red, green, blue, zero, span, table, rises, low, per_step, m, out):
+def _from_rgb(first, end, red, green, blue, zero, span, pairs, low, per_step, m, out):
     W = out.shape[1] // 3
-    r, g, b, steps = np.empty(W, f4), np.empty(W, f4), np.empty(W, f4), np.empty(W, np.int32)
+    r, g, b, found = np.empty(W, f4), np.empty(W, f4), np.empty(W, f4), np.empty(W, np.int64)
+    halves = found.view(np.float32)
     for y in range(first, end):
         _level(W, red[y], zero, span, r)
         _level(W, green[y], zero, span, g)
         _level(W, blue[y], zero, span, b)
-        _finished(W, r, g, b, table, rises, low, per_step, m, steps, out[y])
+        _finished(W, r, g, b, pairs, low, per_step, m, found, halves, out[y])
 
 
-NO_TABLE, NO_MATRIX = np.zeros(1, np.float32), np.zeros((1, 3), np.float32)
+NO_PAIRS, NO_MATRIX = np.zeros(0, np.int64), np.zeros((1, 3), np.float32)
+_made: dict[int, tuple[weakref.ref[Any], npt.NDArray[np.int64]]] = {}
+
+
+def pairs_of(table: Float32) -> npt.NDArray[np.int64]:
+    """(n - 1,) int64 of n samples: each sample and the rise to the next, two float32 side by side, so that one load brings both.
+
+    Those of a read-only table are kept as long as the table lives."""
+    kept = _made.get(id(table))
+    if kept is not None and kept[0]() is table:
+        return kept[1]
+    values = np.ascontiguousarray(table, np.float32)
+    sides = np.empty((len(values) - 1, 2), np.float32)
+    sides[:, 0], sides[:, 1] = values[:-1], np.diff(values)
+    pairs = sides.view(np.int64)[:, 0]
+    if not table.flags.writeable:
+        key = id(table)
+        _made[key] = (weakref.ref(table, lambda _: _made.pop(key, None)), pairs)
+    return pairs
 
 
 def planes_to_rgb(
@@ -168,25 +193,24 @@ def planes_to_rgb(
     curve   : (low, high, values (n,) float32), by linear interpolation; beyond the ends the outer steps go on straight.
     matrix  : (3, 3) float32, applied after the curve.
     """
-    low, per_step, table = f4(0), f4(1), NO_TABLE
+    low, per_step, pairs = f4(0), f4(1), NO_PAIRS
     if curve is not None:
-        table = np.ascontiguousarray(curve[2], np.float32)
-        low, per_step = f4(curve[0]), f4((len(table) - 1) / (curve[1] - curve[0]))
-    rises = np.diff(table)
+        pairs = pairs_of(curve[2])
+        low, per_step = f4(curve[0]), f4(len(pairs) / (curve[1] - curve[0]))
     m = NO_MATRIX if matrix is None else np.ascontiguousarray(matrix, np.float32)
     flat = out.reshape(out.shape[0], -1)
     black, white, neutral, chroma = (f4(v) for v in levels)
     if weights is None:
 
         def run(first: int, end: int) -> None:
-            _from_rgb(first, end, *planes, black, white, table, rises, low, per_step, m, flat)
+            _from_rgb(first, end, *planes, black, white, pairs, low, per_step, m, flat)
     else:
         sides = tuple(f4(v) for v in siting)
         factors = tuple(f4(v) for v in weights)
 
         def run(first: int, end: int) -> None:
             zeros, spans = (black, neutral), (white, chroma)
-            _from_ycbcr(first, end, *planes, halved, sides, zeros, spans, factors, table, rises, low, per_step, m, flat)
+            _from_ycbcr(first, end, *planes, halved, sides, zeros, spans, factors, pairs, low, per_step, m, flat)
 
     in_row_blocks(run, out.shape[0], block_rows=BLOCK_ROWS)
     return out

@@ -67,6 +67,7 @@ def log_table() -> SimpleNamespace:
     """A camera's log curve and a matrix of primaries, as `footage.colour.transfer_table` would give."""
     values = (10 ** (3.0 * np.linspace(-0.2, 1.3, 32769) - 2)).astype(np.float32)
     matrix = np.array([[0.9, 0.08, 0.02], [0.05, 0.9, 0.05], [0.01, 0.09, 0.9]], np.float32)
+    values.setflags(write=False)
     return SimpleNamespace(low=-0.2, high=1.3, table=values, matrix=matrix)
 
 
