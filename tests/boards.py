@@ -14,6 +14,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from stereorelight.arrays import Float64, UInt8
 from stereorelight.calibration.board import Board
+from stereorelight.calibration.corners import Detection
 from stereorelight.camera import Camera
 
 SAMPLES, STEP = 144, 89  # a rank-1 lattice over the pixel: no row of samples lies along an edge
@@ -146,3 +147,24 @@ def _linear(board: Board, camera: Camera, R: Float64, t: Float64, white: float, 
         total += shade(*(at + du * per_u + dv * per_v for at, per_u, per_v in bundles))
     picture[rows, columns] = total / SAMPLES
     return picture
+
+
+def seen(board: Board, camera: Camera, R: Float64, t: Float64, *, noise_px: float = 0.02, mirrored: bool = False, seed: int = 0) -> Detection | None:
+    """A detection without a picture: the true corners with noise, as `corners.detect` would hand them on.  None where too few are in the frame."""
+    px = true_corners(board, camera, R, t)
+    ids = np.flatnonzero(np.isfinite(px[:, 0]))
+    if len(ids) < 6 or (board.kind == "chessboard" and len(ids) < len(px)):
+        return None
+    noisy = px[ids] + np.random.default_rng(seed).normal(0, noise_px, (len(ids), 2))
+    found = Detection(
+        ids=ids,
+        px=noisy,
+        sigma_px=np.full(len(ids), noise_px),
+        refined=np.ones(len(ids), bool),
+        blur_px=(0.6, 0.6),
+        motion_px=(0.0, 0.0),
+        sharpness=0.8,
+        contrast=150.0,
+        size=camera.size,
+    )
+    return found.flipped() if mirrored else found

@@ -108,12 +108,12 @@ class Board:
             pitch = s * (1 + float(self.spacing or 0))
             tag = np.arange(self.columns * self.rows)
             at = np.stack([tag % self.columns * pitch, (self.rows - 1 - tag // self.columns) * pitch], axis=-1)
-            xy = (at[:, None] + s * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])).reshape(-1, 2)
+            xy: Float64 = (at[:, None] + s * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])).reshape(-1, 2)
         else:
             first = 1 if self.kind == "charuco" else 0
             nx, ny = self.grid
             x, y = np.meshgrid(np.arange(nx) + first, np.arange(ny) + first)
-            xy = np.stack([x.ravel(), y.ravel()], axis=-1) * s
+            xy = np.asarray(np.stack([x.ravel(), y.ravel()], axis=-1) * s)
         points: Float64 = np.concatenate([xy, np.zeros((len(xy), 1))], axis=1)
         points.setflags(write=False)
         return points

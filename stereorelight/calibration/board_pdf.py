@@ -18,7 +18,7 @@ PAGES_MM = {
 }
 SERIES = ("A4", "A3", "A2", "A1", "A0")
 MARGIN_MM = 7.0  # what printers leave white
-FOOT_MM = 16.0  # ruler and words
+FOOT_MM = 19.0  # ruler and words, and the printer's own margin below
 RULER_MM = 100
 POINTS_PER_MM = 72 / 25.4
 
@@ -30,8 +30,8 @@ def page_for(board: Board, page: str = "fit") -> tuple[str, float, float]:
     Raises : ShotError naming the page that would do.
     """
     x0, y0, x1, y1 = board.extent_m
-    quiet = 1000 * board.quiet_m
-    wide, high = 1000 * (x1 - x0) + 2 * quiet + 2 * MARGIN_MM, 1000 * (y1 - y0) + 2 * quiet + 2 * MARGIN_MM + FOOT_MM
+    rim = max(1000 * board.quiet_m, MARGIN_MM)
+    wide, high = 1000 * (x1 - x0) + 2 * rim, 1000 * (y1 - y0) + 2 * rim + FOOT_MM
     wide = max(wide, RULER_MM + 2 * MARGIN_MM + 4)
 
     def fits(name: str) -> tuple[str, float, float] | None:
@@ -61,17 +61,16 @@ def board_pdf(board: Board, page: str = "fit") -> bytes:
     """The printable page of `board`, see `page_for`."""
     name, width, height = page_for(board, page)
     x0, y0, x1, y1 = board.extent_m
-    quiet = 1000 * board.quiet_m
+    rim = max(1000 * board.quiet_m, MARGIN_MM)
     left = (width - 1000 * (x1 - x0)) / 2
-    spare = height - FOOT_MM - 1000 * (y1 - y0) - 2 * quiet - 2 * MARGIN_MM
-    top = MARGIN_MM + quiet + spare / 2
+    top = rim + (height - FOOT_MM - 1000 * (y1 - y0) - 2 * rim) / 2
 
     def rectangle(x: float, y_down: float, w: float, h: float) -> str:
         return f"{x:.4f} {height - y_down - h:.4f} {w:.4f} {h:.4f} re"
 
     black = [rectangle(left + 1000 * (a - x0), top + 1000 * (b - y0), 1000 * (c - a), 1000 * (d - b)) for a, b, c, d in board.rectangles_m.tolist()]
     # Everything black is one path filled once: pieces that touch leave no hairline between them.
-    foot = height - MARGIN_MM - FOOT_MM + 6
+    foot = height - FOOT_MM + 4
     rule = (width - RULER_MM) / 2
     ruler = [rectangle(rule, foot, RULER_MM, 0.2)]
     ruler += [

@@ -119,20 +119,19 @@ def second_board(picture: npt.ArrayLike, board: Board, first: Detection) -> bool
 
 def what_else(picture: npt.ArrayLike, board: Board) -> str:
     """Why `board` was not found, in words: another count of corners, other markers, or "" where nothing like a board is seen."""
-    import cv2
-
     grey = grey_levels(picture)
     search = next(_searches(grey, thorough=False))[0]
     seen = _grid_seen(search)
     if board.kind == "chessboard":
         if seen is not None and sorted(seen) != sorted((board.columns, board.rows)):
-            return f"a chessboard of {seen[0]}x{seen[1]} inner corners is seen, not {board.columns}x{board.rows}; count the corners where four squares meet"
+            wanted = f"{board.columns}x{board.rows}"
+            return f"a chessboard of {seen[0]}x{seen[1]} inner corners is seen, not {wanted}; count the corners where four squares meet"
         return ""
     for flip in (False, True):
         image = np.ascontiguousarray(search[:, ::-1]) if flip else search
         for name in dict.fromkeys([str(board.dictionary), *_dictionaries()]):
             for border in (1, APRILGRID_BORDER_BITS):
-                corners, ids, _ = _marker_detector(name, border).detectMarkers(image)
+                _, ids, _ = _marker_detector(name, border).detectMarkers(image)
                 if ids is None or len(ids) < 4:
                     continue
                 most = int(np.max(ids))
@@ -140,7 +139,8 @@ def what_else(picture: npt.ArrayLike, board: Board) -> str:
                 if name != board.dictionary:
                     return f"{len(ids)} markers of {name} are seen {where}not of {board.dictionary}"
                 if most >= board.markers:
-                    return f"{where}marker {most} is seen and this board has only 0 to {board.markers - 1}: its rows and columns are not {board.columns}x{board.rows}"
+                    wanted = f"{board.columns}x{board.rows}"
+                    return f"{where}marker {most} is seen, this board has only 0 to {board.markers - 1}: its rows and columns are not {wanted}"
                 if border != (APRILGRID_BORDER_BITS if board.kind == "aprilgrid" else 1):
                     return f"{len(ids)} markers with a border of {border} bits are seen: this is another kind of board than {board.kind}"
                 return f"{where}{len(ids)} of its markers are seen, but no {FEWEST_CORNERS} corners between them: rows, columns or sizes differ"

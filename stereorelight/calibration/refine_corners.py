@@ -7,6 +7,7 @@ The board's own geometry says how each window lies (pitch, perspective, the lens
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,8 @@ def grid_map(board_xy: Float64, px: Float64, at: Float64 | None = None) -> Float
     import cv2
 
     at = board_xy if at is None else at
-    middle, scale = board_xy.mean(axis=0), max(float(np.ptp(board_xy, axis=0).max()) / 2, 1e-9)
+    middle = board_xy.mean(axis=0)
+    scale = max(float(np.ptp(board_xy, axis=0).max()) / 2, 1e-9)
     a, b = (board_xy - middle) / scale, (at - middle) / scale
     H, _ = cv2.findHomography(a, px, 0)
     if H is None:
@@ -65,11 +67,11 @@ def grid_map(board_xy: Float64, px: Float64, at: Float64 | None = None) -> Float
     powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
 
     def terms(p: Float64) -> Float64:
-        return np.stack([p[:, 0] ** i * p[:, 1] ** j for i, j in powers], axis=1)
+        return np.asarray(np.stack([p[:, 0] ** i * p[:, 1] ** j for i, j in powers], axis=1), np.float64)
 
     off = px - flat(a)
     keep = np.ones(len(a), bool)
-    weights = np.zeros((len(powers), 2))
+    weights: Float64 = np.zeros((len(powers), 2))
     for _ in range(3):  # a corner that fits nothing must not bend the rest
         weights, *_ = np.linalg.lstsq(terms(a[keep]), off[keep], rcond=None)
         left = np.linalg.norm(off - terms(a) @ weights, axis=1)
@@ -92,7 +94,9 @@ def local_shapes(board: Board, ids: np.ndarray, px: Float64) -> tuple[Float64, F
     bend_x = (at[1, 0] - 2 * at[0, 0] + at[-1, 0]) * (s / h) ** 2
     bend_y = (at[0, 1] - 2 * at[0, 0] + at[0, -1]) * (s / h) ** 2
     n1, n2 = (shapes[:, k] / np.linalg.norm(shapes[:, k], axis=1, keepdims=True) for k in (0, 1))
-    bends = np.stack([-np.sum(n1 * bend_y, axis=1) / np.sum(down**2, axis=1), -np.sum(n2 * bend_x, axis=1) / np.sum(across**2, axis=1)], axis=-1)
+    bends: Float64 = np.stack(
+        [-np.sum(n1 * bend_y, axis=1) / np.sum(down**2, axis=1), -np.sum(n2 * bend_x, axis=1) / np.sum(across**2, axis=1)], axis=-1
+    )
     return shapes, bends
 
 
@@ -123,7 +127,6 @@ def refine_corners(
     reach: float | None = None,
     low: float = 0.0,
     high: float = 255.0,
-    furthest_px: float = 2.5,
 ) -> Refined:
     """Every corner fitted to the picture.  Where a fit does not settle the detector's corner stays, with sigma NaN.
 
@@ -134,7 +137,7 @@ def refine_corners(
     near = min(wide, FIRST_REACH[board.kind])
     px = np.asarray(px, np.float64)
     depths = clean_depths(board, ids)
-    fixed = {"low": low + CLIP_LEVELS, "high": high - CLIP_LEVELS, "most_radius_px": MOST_RADIUS_PX}
+    fixed: dict[str, Any] = {"low": low + CLIP_LEVELS, "high": high - CLIP_LEVELS, "most_radius_px": MOST_RADIUS_PX}
     shapes, bends = local_shapes(board, ids, px)
     pitch = float(np.median(1 / np.linalg.norm(shapes, axis=2)))
     furthest_px = float(np.clip(FURTHEST * pitch, *FURTHEST_PX))
@@ -215,7 +218,7 @@ def _motion(
     near: float,
     plain: Float64,
     furthest_px: float,
-    fixed: dict[str, float],
+    fixed: dict[str, Any],
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """The exposure's path and the blur besides it, where a path explains the corners better than blur alone; else zero."""
     n1, n2 = (np.median(shapes[:, k] / np.linalg.norm(shapes[:, k], axis=1, keepdims=True), axis=0) for k in (0, 1))

@@ -104,7 +104,7 @@ def pick_views(
     for _ in range(count):
         # A cell's first view tells much, its third little.
         new = np.array([np.mean([(h[i] / (1 + c) ** 2).sum() / c.size for h, c in zip(hits, covered)]) for i in range(len(frames))])
-        score = quality * (np.minimum(nearest, 2.0) + 2 * new)
+        score = quality * (np.minimum(nearest, 2.0) + 4 * new)
         score[chosen] = -np.inf
         best = int(np.argmax(score))
         chosen.append(best)
@@ -239,6 +239,8 @@ def epipolar_by_view(left: Sequence[Detection], right: Sequence[Detection]) -> l
             return []
         off = _sampson(F, p, q)
         keep = off <= max(3 * float(np.median(off)), 0.2)
+    if F is None:
+        return []
     ends = np.cumsum([len(a) for a, _ in pairs])[:-1]
     return [np.asarray(part) for part in np.split(_sampson(F, p, q), ends)]
 

@@ -131,7 +131,7 @@ def _normal_equations(q, n, px, py, level, k1, k2, moving, low, high, J, JJ, Jr,
 def _window(picture, ix, iy, x0, y0, shape, depth, margin, reach, radius, px, py, level):
     """Pixels of one corner's window into px, py (from the middle pixel) and level; how many."""
     H, W = picture.shape
-    r = int(math.ceil(radius))
+    r = int(np.ceil(radius))
     m1 = margin * math.hypot(shape[0, 0], shape[0, 1])
     m2 = margin * math.hypot(shape[1, 0], shape[1, 1])
     n = 0
@@ -160,7 +160,7 @@ def _window(picture, ix, iy, x0, y0, shape, depth, margin, reach, radius, px, py
 def _fit(first, end, picture, starts, shapes, bends, depths, blur, motion, margin, reach, most_radius, furthest, low, high, nodes, weights, out):
     P = 13
     moving = motion[0] != 0.0 or motion[1] != 0.0
-    most = (2 * int(math.ceil(most_radius)) + 3) ** 2
+    most = (2 * int(np.ceil(most_radius)) + 3) ** 2
     px, py, level = np.empty(most), np.empty(most), np.empty(most)
     J, JJ, Jr = np.empty(P), np.empty((P, P)), np.empty(P)
     nextJJ, nextJr, L = np.empty((P, P)), np.empty(P), np.empty((P, P))
@@ -170,7 +170,7 @@ def _fit(first, end, picture, starts, shapes, bends, depths, blur, motion, margi
         x0, y0 = starts[c, 0], starts[c, 1]
         if not (math.isfinite(x0) and math.isfinite(y0)):
             continue
-        ix, iy = int(math.floor(x0 + 0.5)), int(math.floor(y0 + 0.5))
+        ix, iy = int(np.floor(x0 + 0.5)), int(np.floor(y0 + 0.5))
         S = shapes[c]
         # The window's own half width in pixels: the longest semi-axis of the ellipse |S d| < reach.
         det = abs(S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0])
