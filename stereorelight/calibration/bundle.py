@@ -16,7 +16,9 @@ import numpy as np
 
 from stereorelight.arrays import Bool, Float64
 from stereorelight.calibration.projection import checked_lens, project, rotation
+from stereorelight.errors import RigError
 
+LEAST_DAMPING = 1e-12  # of a pose's own information, so that corners on one line stop nothing
 POSE = 6  # unknowns of a view, and of the pose between the eyes: turn, then shift
 STEPS = 60
 CONVERGED = 1e-8  # relative fall of the cost below which a solve has ended
@@ -280,7 +282,11 @@ def _solved(A: Float64, b: Float64) -> Float64:
 def _without_poses(normal: Normal, damping: float) -> tuple[Float64, Float64, Float64, Float64]:
     """The equations of the shared unknowns with the poses eliminated, (S, S) and by view (V, S); and pp^-1 ps, pp^-1 p."""
     views, size = normal.s.shape
-    back = np.linalg.solve(_damped(normal.pp, damping), np.concatenate([normal.sp.transpose(0, 2, 1), normal.p[..., None]], axis=-1))
+    sides = np.concatenate([normal.sp.transpose(0, 2, 1), normal.p[..., None]], axis=-1)
+    try:
+        back = np.linalg.solve(_damped(normal.pp, max(damping, LEAST_DAMPING)), sides)
+    except np.linalg.LinAlgError:
+        raise RigError("the corners of a view fit no flat board before any lens; is the board's spec right?") from None
     flat = normal.sp.transpose(1, 0, 2).reshape(size, views * POSE)
     slope = normal.s - np.einsum("vsp,vp->vs", normal.sp, back[..., size])
     return normal.shared() - flat @ back[..., :size].reshape(views * POSE, size), slope, back[..., :size], back[..., size]
@@ -289,7 +295,7 @@ def _without_poses(normal: Normal, damping: float) -> tuple[Float64, Float64, Fl
 def view_information(found: Fit) -> Float64:
     """(V, S, S) what each view says of the shared unknowns, its own pose eliminated; priors are not in it."""
     normal = found.normal
-    back = np.linalg.solve(_damped(normal.pp, 0.0), normal.sp.transpose(0, 2, 1))
+    back = np.linalg.solve(_damped(normal.pp, LEAST_DAMPING), normal.sp.transpose(0, 2, 1))
     return np.stack([_assembled(*blocks) - sp @ b for *blocks, sp, b in zip(normal.own, normal.mixed, normal.corner, normal.sp, back)])
 
 

@@ -24,7 +24,9 @@ RAYLEIGH_MEDIAN = 1.1774  # median length of a 2-D error with unit sigma along e
 CAUCHY = 3.0  # sigmas at which a corner's pull is halved, while it is not yet known which corners are bad
 BAD_CORNER = 5.0  # sigmas; of a million good corners four are farther off
 BAD_VIEW = 5.0  # times the usual median error
+BAD_VIEW_PX = 0.5  # and by no less than this: a board held in the hand flexes by less, and such views are kept
 BAD_SHARE = 0.4  # of a view's corners: with more of them twice as far off as a bad corner the view is bad
+NO_RIG = 0.004  # of the frame's width: corners that are farther off than that are of no board that was given
 STRAY_START = 0.02  # of the pitch between corners: how far off its plan a board may be, to begin with
 LEAST_STRAY = 1e-5
 LEAST_SIGMA = 1e-12  # pixels: corners without any noise
@@ -286,7 +288,7 @@ def _marked(problem: Problem, found: Fit, sigma: float, names: tuple[str, ...]) 
     bad = seen & (length * problem.weight > BAD_CORNER * sigma)
     kept, outliers = seen & ~bad, []
     for v in range(seen.shape[1]):
-        wrong = [e for e in (0, 1) if seen[e, v].any() and _whole_view_bad(length[e, v] * problem.weight[e, v], seen[e, v], sigma)]
+        wrong = [e for e in (0, 1) if seen[e, v].any() and _whole_view_bad(length[e, v], problem.weight[e, v], seen[e, v], sigma)]
         reason = ""
         if wrong and seen[:, v].any(axis=1).all():
             wrong, reason = _whose_fault(problem, placed.state, sigma, v)
@@ -308,9 +310,10 @@ def _length_rms(length: Float64) -> float:
     return float(np.sqrt((length**2).mean()))
 
 
-def _whole_view_bad(weighted: Float64, seen: Bool, sigma: float) -> bool:
-    gross = (weighted[seen] > 2 * BAD_CORNER * sigma).mean() > BAD_SHARE
-    return bool(gross or np.median(weighted[seen]) > BAD_VIEW * RAYLEIGH_MEDIAN * sigma)
+def _whole_view_bad(length: Float64, weight: Float64, seen: Bool, sigma: float) -> bool:
+    off = (length * weight)[seen]
+    gross = (off > 2 * BAD_CORNER * sigma).mean() > BAD_SHARE or np.median(off) > BAD_VIEW * RAYLEIGH_MEDIAN * sigma
+    return bool(gross and np.median(length[seen]) > BAD_VIEW_PX)
 
 
 def _whose_fault(problem: Problem, state: State, sigma: float, v: int) -> tuple[list[int], str]:
@@ -321,7 +324,7 @@ def _whose_fault(problem: Problem, state: State, sigma: float, v: int) -> tuple[
         weight[e, v] = problem.weight[e, v]
         own = boards_placed(replace(problem, weight=weight), state, sigma)
         length = np.linalg.norm(own.residual_px[e, v], axis=-1)
-        alone.append(_whole_view_bad(length * weight[e, v], own.problem.seen[e, v], sigma))
+        alone.append(_whole_view_bad(length, weight[e, v], own.problem.seen[e, v], sigma))
     if alone[0] != alone[1]:
         return [alone.index(True)], f"the {EYES[alone.index(True)]} eye's corners do not fit the board, the other eye's do"
     if alone[0]:
@@ -359,6 +362,11 @@ def solve_rig(
     if free_board:
         robust, sigma = _freed(robust, sigma)
     problem = robust.problem
+    typical = sigma / float(np.median(problem.weight[problem.seen]))
+    if typical > NO_RIG * max(sizes[0]):
+        raise RigError(
+            f"no rig fits the corners: they are typically {typical:.0f} px off; are these views of one board, of the spec given, by the same rig?"
+        )
     kept, outliers = _marked(problem, robust, sigma, tuple(views.names))
     trimmed = fit(replace(problem, weight=np.where(kept, problem.weight, 0.0)), robust.state)
     kept, outliers = _marked(problem, trimmed, robust_sigma(trimmed), tuple(views.names))  # once more, by the better rig

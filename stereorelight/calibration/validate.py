@@ -131,7 +131,7 @@ def held_out(calibration: Calibration, *, most_folds: int = MOST_FOLDS) -> Float
 
     All corners and views that were given count, those that the solve left out too."""
     problem = calibration.fit.problem
-    paired = np.isfinite(calibration.views.px[..., 0]).any(axis=2).all(axis=0)
+    paired: Bool = np.asarray(np.isfinite(calibration.views.px[..., 0]).any(axis=2).all(axis=0))
     out = np.full(calibration.views.px.shape[1:3], np.nan)
     if paired.sum() < 2:
         return out
