@@ -23,6 +23,7 @@ from stereorelight.footage.sequence import frame_range
 from stereorelight.shot.pairs import EYES, Pair, eyes_of_shot, pairs_of, read_upright
 from stereorelight.shot.receipt import code_digest, digest
 from stereorelight.shot.schema import Shot
+from stereorelight.shot.steps import colour_key
 from stereorelight.stereo.rectify import Rectification, rectification
 
 VERSION = 1
@@ -84,10 +85,10 @@ def mends_of(shot: Shot, rectified: Rectification, *, told: Told = lambda name, 
         return Mends()
     if table.drift_window % 2 == 0:
         raise ShotError(f"{shot.path}: rig.drift_window must be an odd number of frames, got {table.drift_window}")
-    pairs = pairs_of(eyes_of_shot(shot))
+    pairs = _whole(shot)
     speaking = _keys(shot, pairs) if table.drift_frames else list(pairs) if table.drift == "frame" else _spread(pairs, SHOT_FRAMES)
     sources = {pair.name: [pair.digest(eye) for eye in EYES] for pair in speaking}
-    key = digest(sources, [pair.name for pair in pairs], table.model_dump(), _rig_numbers(rectified.original), code_digest(*ROOMS))
+    key = digest(sources, [pair.name for pair in pairs], table.model_dump(), colour_key(shot), _rig_numbers(rectified.original), code_digest(*ROOMS))
     path = shot.folder / "drift.json"
     if (stood := _read(path, key)) is not None:
         return stood
@@ -95,6 +96,14 @@ def mends_of(shot: Shot, rectified: Rectification, *, told: Told = lambda name, 
     data = {"version": VERSION, "key": key, "values": {k: list(v) for k, v in mends.values.items()}, "words": dict(mends.words)}
     write_text(path, json.dumps(data, indent=1) + "\n", force=True)
     return mends
+
+
+def _whole(shot: Shot) -> tuple[Pair, ...]:
+    try:
+        return pairs_of(eyes_of_shot(shot))
+    except PlateError as error:
+        wanted = f'rig.drift = "{shot.tables.rig.drift}" looks at the whole shot, not at --frames'
+        raise PlateError(f"{error} ({wanted}: name the frames of the shot in [plates] frames)") from None
 
 
 def _rig_numbers(rig: Rig) -> list[Any]:
@@ -115,10 +124,19 @@ def _read(path: Path, key: str) -> Mends | None:
 def _found(shot: Shot, rectified: Rectification, pairs: Sequence[Pair], speaking: Sequence[Pair], told: Told) -> Mends:
     table, rig = shot.tables.rig, rectified.original
     matches: dict[str, Matches] = {}
+    damaged: list[PlateError] = []
     for done, pair in enumerate(speaking):
         told(pair.name, done, len(speaking))
-        left, right = read_upright(pair, rectified, colour=shot.colour)
+        try:
+            left, right = read_upright(pair, rectified, colour=shot.colour)
+        except PlateError as error:
+            if table.drift_frames:
+                raise
+            damaged.append(error)  # the run tells of it when it comes to it, and keeps what is good before it
+            continue
         matches[pair.name] = match_points(left, right, rig=rig)
+    if not matches:
+        raise damaged[0]
     try:
         whole = solve_drift(rig, pooled(list(matches.values())))
     except PlateError as error:
@@ -134,7 +152,7 @@ def _found(shot: Shot, rectified: Rectification, pairs: Sequence[Pair], speaking
     if table.drift_frames:
         keys = {int(pair.number or 0): drift for pair in speaking if (drift := alone[pair.name]) is not None}
         return _mends(pairs, [keyed(keys, int(pair.number or 0)) for pair in pairs], whole)
-    return _mends(pairs, smoothed([alone[pair.name] for pair in pairs], window=table.drift_window), whole)
+    return _mends(pairs, smoothed([alone.get(pair.name) for pair in pairs], window=table.drift_window), whole)
 
 
 def _mends(pairs: Sequence[Pair], drifts: Sequence[Drift], whole: Drift) -> Mends:

@@ -70,7 +70,7 @@ def write_reviews(
         _owned(path, kept, force=force)
         note(f"{name} movie")
         report = write_movie(path, _pictures(name, sources), rate=rate, codec=output.movie_codec, timecode=timecode, force=True)
-        kept[path.name] = {"key": key, "size": path.stat().st_size, **report.to_dict()}
+        kept[path.name] = {**report.to_dict(), "key": key, "bytes": path.stat().st_size}
         written += 1
     return kept, written + _sheet(jobs, kept, force=force)
 
@@ -87,12 +87,12 @@ def _sheet(jobs: Sequence[FrameJob], kept: dict[str, Any], *, force: bool) -> in
         return 0
     _owned(path, kept, force=force)
     write_still(path, shot_sheet([job.pair.name for job in jobs], pictures), force=True)
-    kept[path.name] = {"key": key, "size": path.stat().st_size}
+    kept[path.name] = {"key": key, "bytes": path.stat().st_size}
     return 1
 
 
 def _stands(path: Path, entry: Any, key: str) -> bool:
-    return isinstance(entry, dict) and entry.get("key") == key and path.exists() and path.stat().st_size == entry.get("size")
+    return isinstance(entry, dict) and entry.get("key") == key and path.exists() and path.stat().st_size == entry.get("bytes")
 
 
 def _owned(path: Path, kept: Mapping[str, Any], *, force: bool) -> None:
