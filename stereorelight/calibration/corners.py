@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float32, Float64, UInt8
 from stereorelight.calibration.board import APRILGRID_BORDER_BITS, Board, dictionary
-from stereorelight.calibration.refine_corners import grid_map, refine_corners
+from stereorelight.calibration.refine_corners import Refined, bright_quadrants, grid_map, local_shapes, refine_corners
 from stereorelight.errors import PlateError
 
 SEARCH_SIDE_PX = 1280  # boards are searched for in a picture no longer than this, then at full size
@@ -25,6 +25,9 @@ SEARCH_FULL_PX = 2600
 FEWEST_CORNERS = 6
 DETECTOR_SIGMA_PX = 0.15  # a corner that no fit took up
 SIGMA_FLOOR_PX = 0.006  # what the model's own shape is off on a perfect picture
+FEWEST_TO_GROW, GROWTH_ROUNDS = 8, 4
+GROWN_PX, GROWN_SHARE = 1.0, 0.05  # a corner that no marker names must lie so near its place on the grid, pixels or squares
+GROWN_SIGMA = 3.0  # and be as well seen as its neighbours, within this factor
 HOMOGRAPHY_SHARE = 0.25  # of a square: markers further off their board's plane belong to another one
 
 
@@ -173,8 +176,8 @@ def turned(detection: Detection, board: Board, quarter_turns: int) -> Detection:
 
 def _refined(grey: Float32, board: Board, ids: npt.NDArray[np.int64], px: Float64) -> Detection:
     fit = refine_corners(grey, board, ids, px)
-    if board.kind != "chessboard" and fit.refined.sum() >= FEWEST_CORNERS:
-        return _detection(grey, ids, fit).where(fit.refined)  # a marker's own corners are pixels off: worth nothing beside fitted ones
+    if board.kind != "chessboard":
+        return _grown(grey, board, ids, fit)
     if board.kind == "chessboard":
         nx, _ = board.grid
         dark_first = -float(np.sum(fit.bright_first * np.where((ids % nx + ids // nx) % 2, -1, 1)))
@@ -185,7 +188,41 @@ def _refined(grey: Float32, board: Board, ids: npt.NDArray[np.int64], px: Float6
     return _upright(_detection(grey, ids, fit), board)
 
 
-def _detection(grey: Float32, ids: npt.NDArray[np.int64], fit: Any) -> Detection:
+def _grown(grey: Float32, board: Board, ids: npt.NDArray[np.int64], fit: Refined) -> Detection:
+    """Corners whose markers were not read, next to those that were: the grid says where, the picture whether they are there.
+
+    Only fitted corners stay: a marker's own are pixels off, worth nothing beside them."""
+    for _ in range(GROWTH_ROUNDS):
+        keep = fit.refined & (fit.bright_first == bright_quadrants(board, ids))
+        if keep.sum() < FEWEST_TO_GROW:
+            break
+        had, px, sigma = ids[keep], fit.px[keep], fit.sigma_px[keep]
+        missing = np.setdiff1d(np.arange(len(board.points_m)), had)
+        apart = np.linalg.norm(board.points_m[missing, None, :2] - board.points_m[None, had, :2], axis=2)
+        missing = missing[apart.min(axis=1, initial=np.inf) < 1.5 * board.square_m] if len(missing) else missing
+        there = grid_map(board.points_m[had, :2], px, board.points_m[missing, :2])
+        inside = ((there > 3) & (there < np.array([grey.shape[1], grey.shape[0]]) - 4)).all(axis=1)
+        missing, there = missing[inside], there[inside]
+        if not len(missing):
+            break
+        every = np.concatenate([had, missing])
+        order = np.argsort(every)
+        wider = refine_corners(grey, board, every[order], np.concatenate([px, there])[order])
+        pitch = math.sqrt(float(np.median(np.abs(np.linalg.det(np.linalg.inv(local_shapes(board, had, px)[0]))))))
+        new = np.isin(every[order], missing)
+        off = np.linalg.norm(wider.px - np.concatenate([px, there])[order], axis=1)
+        right_sign = wider.bright_first == bright_quadrants(board, every[order])
+        sure = wider.refined & right_sign & (wider.sigma_px < GROWN_SIGMA * float(np.median(sigma)) + SIGMA_FLOOR_PX)
+        good = np.where(new, sure & (off < max(GROWN_PX, GROWN_SHARE * pitch)), wider.refined & right_sign)
+        gained = int((good & new).sum())
+        ids, fit = every[order], replace(wider, refined=good)
+        if not gained:
+            break
+    keep = fit.refined & (fit.bright_first == bright_quadrants(board, ids))
+    return _detection(grey, ids, fit).where(keep if keep.sum() >= FEWEST_CORNERS else np.ones(len(ids), bool))
+
+
+def _detection(grey: Float32, ids: npt.NDArray[np.int64], fit: Refined) -> Detection:
     sigma = np.where(fit.refined, np.hypot(np.nan_to_num(fit.sigma_px), SIGMA_FLOOR_PX), DETECTOR_SIGMA_PX)
     blur = fit.blur_px if math.isfinite(fit.blur_px[0]) else (math.nan, math.nan)
     sharp = 0.5 / max(blur[0], 0.5) if math.isfinite(blur[0]) else 0.0

@@ -20,6 +20,7 @@ FIRST_REACH = {"chessboard": 0.38, "charuco": 0.3, "aprilgrid": 0.24}
 MOST_RADIUS_PX = 24.0  # a wider window costs more than it tells
 CUBIC_FROM, QUADRATIC_FROM = 24, 12  # corners that carry the lens's bend
 BLUR_FOR_MOTION_PX = 1.35  # s above which movement is tried
+TRIED_FOR_MOTION = 16
 MOTION_PAYS = 0.97  # of the squared residual
 FURTHEST, FURTHEST_PX = 0.1, (1.5, 6.0)  # of a square, and in pixels: how far a detector may have been off
 CLIP_LEVELS = 1.0  # an 8-bit picture clips within a level of its ends
@@ -73,7 +74,7 @@ def grid_map(board_xy: Float64, px: Float64, at: Float64 | None = None) -> Float
     keep = np.ones(len(a), bool)
     weights: Float64 = np.zeros((len(powers), 2))
     for _ in range(3):  # a corner that fits nothing must not bend the rest
-        weights, *_ = np.linalg.lstsq(terms(a[keep]), off[keep], rcond=None)
+        weights = np.asarray(np.linalg.lstsq(terms(a[keep]), off[keep], rcond=None)[0], np.float64)
         left = np.linalg.norm(off - terms(a) @ weights, axis=1)
         keep = left <= max(4 * float(np.median(left)), 0.02)
         if keep.sum() < len(powers) + 4:
@@ -87,17 +88,23 @@ def local_shapes(board: Board, ids: np.ndarray, px: Float64) -> tuple[Float64, F
     xy, s = board.points_m[ids, :2], board.square_m
     h = 0.35 * s
     at = {(i, j): grid_map(xy, px, xy + h * np.array([i, j])) for i in (-1, 0, 1) for j in (-1, 0, 1) if 0 in (i, j)}
-    across = (at[1, 0] - at[-1, 0]) * (s / h / 2)  # pixels per square along the board's x
-    down = (at[0, 1] - at[0, -1]) * (s / h / 2)
+    across: Float64 = (at[1, 0] - at[-1, 0]) * (s / h / 2)  # pixels per square along the board's x
+    down: Float64 = (at[0, 1] - at[0, -1]) * (s / h / 2)
     J = np.stack([across, down], axis=-1)
-    shapes: Float64 = np.linalg.inv(J)
+    shapes = np.asarray(np.linalg.inv(J), np.float64)
     bend_x = (at[1, 0] - 2 * at[0, 0] + at[-1, 0]) * (s / h) ** 2
-    bend_y = (at[0, 1] - 2 * at[0, 0] + at[0, -1]) * (s / h) ** 2
+    bend_y: Float64 = (at[0, 1] - 2 * at[0, 0] + at[0, -1]) * (s / h) ** 2
     n1, n2 = (shapes[:, k] / np.linalg.norm(shapes[:, k], axis=1, keepdims=True) for k in (0, 1))
-    bends: Float64 = np.stack(
-        [-np.sum(n1 * bend_y, axis=1) / np.sum(down**2, axis=1), -np.sum(n2 * bend_x, axis=1) / np.sum(across**2, axis=1)], axis=-1
-    )
+    bends = np.stack([-np.sum(n1 * bend_y, axis=1) / np.sum(down**2, axis=1), -np.sum(n2 * bend_x, axis=1) / np.sum(across**2, axis=1)], axis=-1)
     return shapes, bends
+
+
+def bright_quadrants(board: Board, ids: np.ndarray) -> Float64:
+    """(n,) +1 where the quadrant right and below of a corner is white on this board, -1 where it is black."""
+    nx, _ = board.grid
+    odd = ids % 2 if board.kind == "aprilgrid" else (ids % nx + ids // nx) % 2
+    signs: Float64 = np.where(odd == 1, 1.0, -1.0)
+    return signs
 
 
 def clean_depths(board: Board, ids: np.ndarray) -> Float64:
@@ -222,6 +229,9 @@ def _motion(
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """The exposure's path and the blur besides it, where a path explains the corners better than blur alone; else zero."""
     n1, n2 = (np.median(shapes[:, k] / np.linalg.norm(shapes[:, k], axis=1, keepdims=True), axis=0) for k in (0, 1))
+    few = np.flatnonzero(np.isfinite(plain[:, 18]))
+    few = few[:: max(1, len(few) // TRIED_FOR_MOTION)]  # the whole picture moves alike: some corners tell
+    px, shapes, bends, depths, plain = px[few], shapes[few], bends[few], depths[few], plain[few]
     rest = 0.8 * min(s1, s2, 1.6)
     # An even path of length m across an edge spreads it like a Gaussian of variance m^2 / 12; s^2 is twice a variance.
     m1, m2 = (np.sqrt(max(6 * (s * s - rest * rest), 1e-3)) for s in (s1, s2))
