@@ -75,7 +75,8 @@ def judged(px: Float64, cameras: tuple[Camera, Camera], R: Float64, t: Float64) 
 
 def row(name: str, rms: float, errors: Float64, side: Float64) -> None:
     e, s = errors[~np.isnan(errors)], side[np.isfinite(side)]
-    print(f"| {name} | {rms:.3f} | {e.mean():.3f} ({np.percentile(e, 95):.3f}) | {s.std():.4f} |", flush=True)
+    high = np.percentile(e, 95, method="higher")  # an infinite error is not to be interpolated
+    print(f"| {name} | {rms:.3f} | {e.mean():.3f} ({high:.3f}) | {s.std():.4f} |", flush=True)
 
 
 def opencv_row(name: str, px: Float64, flags: int = 0) -> None:
