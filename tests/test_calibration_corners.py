@@ -69,6 +69,29 @@ def test_corners_are_true(board: Board, case: str) -> None:
     assert np.sqrt(np.concatenate(off).mean()) <= bound
 
 
+def test_linear_light_serves_pictures_coded_so() -> None:
+    """The renderer codes in sRGB: told so, the fit of a sharp picture is twice as true."""
+    picture, truth = render_board(CHESS, CAMERA, *pose(CHESS, 2))
+    off = [
+        np.sqrt(np.mean((refine_corners(picture.astype(np.float32), CHESS, np.arange(54), truth, decode_srgb=d).px - truth) ** 2))
+        for d in (False, True)
+    ]
+    assert off[1] < 0.75 * off[0]
+
+
+def test_corners_between_unread_markers_join_by_the_grid() -> None:
+    """Four markers are painted over inside; the corners beside them stay and are as true as the rest."""
+    R, t = pose(CHARUCO, 0)
+    picture, truth = render_board(CHARUCO, CAMERA, R, t, noise=1)
+    for i, j in ((2, 3), (3, 2), (3, 4), (4, 3)):
+        middle = CAMERA.project(R @ np.array([(i + 0.5) * 0.03, (j + 0.5) * 0.03, 0]) + t)
+        cv2.circle(picture, (round(middle[0]), round(middle[1])), 6, 205, -1)
+    found = detect(picture, CHARUCO)
+    assert found is not None
+    assert len(found) == len(truth)
+    assert rms(found, truth) <= 0.012
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_a_chessboard_is_found_whatever_spoils_it(case: str) -> None:
     how, bound = CASES[case]

@@ -134,12 +134,17 @@ def refine_corners(
     reach: float | None = None,
     low: float = 0.0,
     high: float = 255.0,
+    decode_srgb: bool = False,
 ) -> Refined:
     """Every corner fitted to the picture.  Where a fit does not settle the detector's corner stays, with sigma NaN.
 
     grey : (H, W) float32, 8-bit levels as encoded (the model takes up the curve).  ids: rows of board.points_m.  px: (n, 2) starts.
     low, high : levels at which the picture clips.
+    decode_srgb : fit in linear light; halves what is left on sharp pictures that are coded so, and hurts on others.
     """
+    if decode_srgb:
+        e = np.clip(grey / 255, 0, 1)
+        grey = (255 * np.where(e <= 0.04045, e / 12.92, ((e + 0.055) / 1.055) ** 2.4)).astype(np.float32)
     wide = REACH[board.kind] if reach is None else reach
     near = min(wide, FIRST_REACH[board.kind])
     px = np.asarray(px, np.float64)
