@@ -169,7 +169,7 @@ def _freed(found: Fit, sigma: float, *, rounds: int = 4) -> tuple[Fit, float]:
             weight=problem.weight / max(sigma, LEAST_SIGMA),
             expected_sigma=np.append(found.problem.expected_sigma, stray.ravel()),
         )
-        freed = fit(problem, state, scale=CAUCHY)
+        freed = fit(problem, state, scale=CAUCHY, steps=12)  # the prior moves between rounds: no need to polish
         state, sigma = freed.state, robust_sigma(freed)
         spread = np.diag(covariance_of(freed))[-3 * n :].reshape(n, 3) + state.stray_m**2
         stray[:, :2], stray[:, 2] = (max(float(np.sqrt(s.mean())), LEAST_STRAY * pitch) for s in (spread[:, :2], spread[:, 2]))
