@@ -128,6 +128,55 @@ def test_rgb_and_grey_planes() -> None:
     assert (rgb_from_planes([r], bits=10, full_range=True, matrix="bt709") == 1).all()
 
 
+def thinned(a: np.ndarray, axis: int, *, cosited: bool) -> np.ndarray:
+    """Half the samples along `axis`: 1 2 1 about every even one, or the mean of an even one and the next."""
+    a = np.moveaxis(a, axis, 0)
+    if cosited:
+        padded = np.concatenate([a[:1], a, a[-1:]])
+        thin = 0.25 * padded[0:-2:2] + 0.5 * padded[1:-1:2] + 0.25 * padded[2::2]
+    else:
+        padded = a if len(a) % 2 == 0 else np.concatenate([a, a[-1:]])
+        thin = 0.5 * (padded[0::2] + padded[1::2])
+    return np.moveaxis(thin, 0, axis)
+
+
+@given(
+    st.sampled_from([8, 10, 12, 16]),
+    st.booleans(),
+    st.sampled_from([*MATRICES, "rgb"]),
+    st.sampled_from(["444", "422", "420"]),
+    st.sampled_from(["left", "topleft", "center"]),
+    st.sampled_from([np.float32, np.float64]),
+    st.integers(1, 60),
+    st.integers(1, 21),
+    st.integers(0, 2**32 - 1),
+)
+@settings(max_examples=50, deadline=None)
+def test_codes_are_those_of_the_formula_written_out(
+    bits: int, full: bool, matrix: str, kind: str, siting: str, dtype: type, height: int, width: int, seed: int
+) -> None:
+    """ITU-T H.273 8.3 in whole-picture float64 arithmetic, in the same order of operations: equal to the last code."""
+    kind = "444" if matrix == "rgb" else kind
+    rgb = np.random.default_rng(seed).uniform(-0.4, 1.4, (height, width, 3)).astype(dtype)
+    found = planes_from_rgb(rgb, bits=bits, full_range=full, matrix=matrix, subsampling=kind, siting=siting)
+    k, top = 2.0 ** (bits - 8), 2.0**bits - 1
+    black, white, neutral, chroma = (0.0, top, 2.0 ** (bits - 1), top) if full else (16 * k, 219 * k, 128 * k, 224 * k)
+    r, g, b = (rgb[..., c].astype(np.float64) for c in range(3))
+    samples = [(r, black, white), (g, black, white), (b, black, white)]
+    if matrix != "rgb":
+        kr, kb = weights(matrix)
+        y = kr * r + (1 - kr - kb) * g + kb * b
+        parts = [(b - y) / (2 * (1 - kb)), (r - y) / (2 * (1 - kr))]
+        if kind != "444":
+            parts = [thinned(p, 1, cosited=siting != "center") for p in parts]
+        if kind == "420":
+            parts = [thinned(p, 0, cosited=siting == "topleft") for p in parts]
+        samples = [(y, black, white), *[(p, neutral, chroma) for p in parts]]
+    for plane, (values, zero, span) in zip(found, samples, strict=True):
+        assert plane.dtype == (np.uint8 if bits == 8 else np.uint16)
+        np.testing.assert_array_equal(plane, np.clip(np.floor(values * span + (zero + 0.5)), 0, top))
+
+
 def test_refusals() -> None:
     good = planes(10, 64, 512, 512)
     with pytest.raises(PlateError, match="did you mean 'bt709'"):

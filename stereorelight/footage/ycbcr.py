@@ -22,7 +22,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from stereorelight.arrays import Float32, Float64
+from stereorelight.arrays import Float32
 from stereorelight.errors import PassError, PlateError, nearest_hint
 
 Siting = Literal["left", "topleft", "center"]
@@ -151,24 +151,6 @@ def rgb_from_planes(
     )
 
 
-def _thinned(a: Float64, axis: int, *, cosited: bool) -> Float64:
-    """Half the samples along `axis`: 1 2 1 about every even pixel, or the mean of an even one and the next."""
-    a = np.moveaxis(a, axis, 0)
-    if cosited:
-        padded = np.concatenate([a[:1], a, a[-1:]])
-        thin = 0.25 * padded[0:-2:2] + 0.5 * padded[1:-1:2] + 0.25 * padded[2::2]
-    else:
-        padded = a if len(a) % 2 == 0 else np.concatenate([a, a[-1:]])
-        thin = 0.5 * (padded[0::2] + padded[1::2])
-    return np.moveaxis(thin, 0, axis)
-
-
-def _codes(values: Float64, zero: float, span: float, bits: int) -> npt.NDArray[Any]:
-    """The nearest codes (halves up), held within 0..2^bits - 1."""
-    whole = np.clip(np.floor(values * span + (zero + 0.5)), 0, 2**bits - 1)
-    return np.ascontiguousarray(whole, np.uint8 if bits == 8 else np.uint16)
-
-
 def planes_from_rgb(
     rgb: npt.ArrayLike, *, bits: int, full_range: bool, matrix: str, subsampling: str, siting: str = "left"
 ) -> tuple[npt.NDArray[Any], ...]:
@@ -186,19 +168,18 @@ def planes_from_rgb(
         raise PlateError(f"chroma subsampling {subsampling!r} is unknown; 444, 422 and 420 are written")
     if siting not in SITINGS:
         raise PlateError(f"chroma siting {siting!r} is unknown{nearest_hint(str(siting), SITINGS)}")
-    black, white, neutral, chroma = levels(bits, full_range)
-    r, g, b = (a[..., c].astype(np.float64) for c in range(3))
-    if not np.isfinite(r + g + b).all():
+    scale = levels(bits, full_range)
+    if not np.isfinite(a).all():
         raise PassError("a picture to be stored in planes has NaN or infinite values; paint them first")
-    if matrix == "rgb":
-        if subsampling != "444":
-            raise PlateError(f"R, G, B planes are never subsampled, so {subsampling!r} does not go with matrix 'rgb'; take '444'")
-        return tuple(_codes(v, black, white, bits) for v in (r, g, b))
-    kr, kb = weights(matrix)
-    y = kr * r + (1 - kr - kb) * g + kb * b
-    blue, red = (b - y) / (2 * (1 - kb)), (r - y) / (2 * (1 - kr))
-    if subsampling != "444":
-        blue, red = (_thinned(v, 1, cosited=siting != "center") for v in (blue, red))
-    if subsampling == "420":
-        blue, red = (_thinned(v, 0, cosited=siting == "topleft") for v in (blue, red))
-    return _codes(y, black, white, bits), _codes(blue, neutral, chroma, bits), _codes(red, neutral, chroma, bits)
+    if matrix == "rgb" and subsampling != "444":
+        raise PlateError(f"R, G, B planes are never subsampled, so {subsampling!r} does not go with matrix 'rgb'; take '444'")
+    from stereorelight.engine.ycbcr_codes import rgb_to_planes
+
+    return rgb_to_planes(
+        a if a.dtype in (np.float32, np.float64) else a.astype(np.float64),
+        bits=bits,
+        levels=scale,
+        weights=None if matrix == "rgb" else weights(matrix),
+        halved=(subsampling == "420", subsampling != "444"),
+        cosited=(siting == "topleft", siting != "center"),
+    )

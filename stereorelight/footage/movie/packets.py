@@ -20,6 +20,7 @@ from stereorelight.errors import PlateError
 
 # A container's clock may be as coarse as a millisecond (Matroska), or jitter by a few parts of a hundred (telephones).
 JITTER = 0.05  # of a frame's duration, or two ticks of the clock if that is more
+SAME_RATE = 1e-6  # relative; 24 and 24000/1001 are a thousand times further apart
 MOST_UNEVEN = 0.05  # share of frames with another duration from which on the rate is variable rather than frames dropped
 
 
@@ -102,6 +103,14 @@ def packet_table(container: Any, stream: Any, name: str, file_bytes: int) -> Pac
     return PacketTable(pts=pts, dts=dts, key=key, shown=shown, cut=int(cut[0]) if len(cut) else None)
 
 
+def standard_rate(rate: Fraction) -> Fraction:
+    """The whole or NTSC rate that `rate` stands for: Matroska's reader has no room for 60000/1001 and says 19001/317."""
+    for exact in (Fraction(round(rate)), Fraction(round(rate * Fraction(1001, 1000)) * 1000, 1001)):
+        if exact and abs(rate / exact - 1) < SAME_RATE:
+            return exact
+    return rate
+
+
 def rate_of(table: PacketTable, stream: Any, name: str) -> tuple[Fraction, tuple[int, ...]]:
     """Frames a second, and the frames after which time goes on unevenly (frames dropped by the camera).
 
@@ -110,7 +119,7 @@ def rate_of(table: PacketTable, stream: Any, name: str) -> tuple[Fraction, tuple
     """
     tick = Fraction(stream.time_base)
     steps = np.diff(table.pts[table.shown])
-    stated = [Fraction(rate) for rate in (stream.average_rate, stream.base_rate, stream.guessed_rate) if rate]
+    stated = [standard_rate(Fraction(rate)) for rate in (stream.average_rate, stream.base_rate, stream.guessed_rate) if rate]
     if not len(steps):
         return (stated[0] if stated else Fraction(24)), ()
     values, counts = np.unique(steps, return_counts=True)
@@ -118,7 +127,10 @@ def rate_of(table: PacketTable, stream: Any, name: str) -> tuple[Fraction, tuple
     best: tuple[int, Fraction, npt.NDArray[np.int64]] | None = None
     for rate in [*stated, fallback]:
         expected = float(1 / (rate * tick))
-        odd = np.flatnonzero(np.abs(steps - expected) > max(1.001 if expected > 20 else 0.501, JITTER * expected))
+        whole = abs(expected - round(expected)) < 1e-3
+        # Times rounded to ticks make a step the tick below or above; on a coarse clock more than that is a frame dropped.
+        ticks = 1.001 if expected > 20 else 0.501 if whole else 0.999
+        odd = np.flatnonzero(np.abs(steps - expected) > max(ticks, JITTER * expected))
         if best is None or len(odd) < best[0]:
             best = (len(odd), rate, odd)
     assert best is not None  # the loop above ran at least once

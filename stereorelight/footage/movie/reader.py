@@ -15,10 +15,9 @@ what comes before the damage is kept, and each frame from it to the next key fra
 
 from __future__ import annotations
 
+import itertools
 import threading
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from fractions import Fraction
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -27,10 +26,12 @@ import numpy as np
 
 from stereorelight.arrays import Float32
 from stereorelight.errors import PlateError
+from stereorelight.footage.movie.container import chosen_stream, opened, video_streams
+from stereorelight.footage.movie.damage import first_damage, packets_spoilt
+from stereorelight.footage.movie.info import MovieInfo as MovieInfo
+from stereorelight.footage.movie.info import described, picture_layout
 from stereorelight.footage.movie.packets import PacketTable, packet_table, rate_of
-from stereorelight.footage.movie.pixels import MATRICES, OTHER_MATRICES, PRIMARIES, TRANSFERS, Layout, layout_of, planes_of
-from stereorelight.footage.movie.timecode import Timecode
-from stereorelight.footage.source import check_file
+from stereorelight.footage.movie.pixels import planes_of
 from stereorelight.footage.ycbcr import Transfer, rgb_from_planes, weights
 from stereorelight.threads import usable_cores
 
@@ -38,97 +39,13 @@ STRICT = {"err_detect": "crccheck+bitstream+buffer+explode"}
 FRAMES_AHEAD = 2  # decoded beyond the cores at work, so that decoding goes on while a picture is converted
 
 
-@dataclass(frozen=True, kw_only=True)
-class MovieInfo:
-    """What a movie is, before any of its pictures.
-
-    path, stream    : the file, and the place among its video streams, from 0.
-    size            : (width, height) as coded, pixels.
-    rate            : frames a second, exactly.
-    frames          : how many frames the file's own tables hold; see `fault`.
-    start_timecode  : time code of frame 0, as written; None where there is none.
-    codec, pixel_format, bits : the decoder's names, bits of a sample.
-    matrix          : "bt601", "bt709", "bt2020" or "rgb"; full_range: whether 0 is black.
-    primaries, transfer : H.273 names such as "bt709", "smpte2084"; None where untagged.
-    sample_aspect   : width of a pixel in heights; 1 where untagged.
-    interlaced      : whether a frame is woven from two moments.
-    rotation_deg    : what the display matrix asks for; never applied.
-    stereo_mode     : the container's word for how two views are packed ("left_right" ...), or None.
-    gaps            : frames that last longer or shorter than the rate says: frames were dropped there.
-    fault           : what is known to be damaged, one sentence, or "".
-    metadata        : the words of container and stream.
-    """
-
-    path: Path
-    stream: int
-    size: tuple[int, int]
-    rate: Fraction
-    frames: int
-    start_timecode: str | None
-    codec: str
-    pixel_format: str
-    bits: int
-    matrix: str
-    full_range: bool
-    primaries: str | None
-    transfer: str | None
-    sample_aspect: Fraction
-    interlaced: bool = False
-    rotation_deg: int = 0
-    stereo_mode: str | None = None
-    gaps: tuple[int, ...] = ()
-    fault: str = ""
-    metadata: Mapping[str, str] = field(default_factory=dict)
-
-    def timecode(self, frame: int) -> Timecode | None:
-        """Time code of frame `frame`, or None where the movie has none that can be read."""
-        if self.start_timecode is None:
-            return None
-        try:
-            return Timecode.parse(self.start_timecode, self.rate) + frame
-        except PlateError:
-            return None
-
-
-def _open(path: Path) -> Any:
-    """The container.  Raises PlateError where it is no movie."""
-    check_file(path)
-    import av
-
-    av.logging.set_level(None)
-    av.logging.set_libav_level(av.logging.PANIC)
-    try:
-        return av.open(str(path), "r", metadata_errors="replace")
-    except (av.error.FFmpegError, ValueError, OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise PlateError(f"{path}: is no movie that can be read ({reason.lower()}); it may be cut short: copy or export it again") from None
-
-
-def _video_streams(container: Any) -> list[Any]:
-    """Video streams that are movies: cover pictures are none."""
-    from av.stream import Disposition
-
-    return [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
-
-
-def _chosen(container: Any, path: Path, stream: int) -> Any:
-    streams = _video_streams(container)
-    if not streams:
-        kinds = ", ".join(sorted({s.type for s in container.streams})) or "none"
-        raise PlateError(f"{path}: has no video stream (streams: {kinds}); give a movie with pictures")
-    if not 0 <= stream < len(streams):
-        there = ", ".join(f"{k} ({s.codec_context.name} {s.codec_context.width} x {s.codec_context.height})" for k, s in enumerate(streams))
-        raise PlateError(f"{path}: has no video stream {stream}; there is {there}")
-    return streams[stream]
-
-
 def movie_streams(path: str | Path) -> tuple[MovieInfo, ...]:
     """What each video stream of a movie is.  Raises PlateError for a file that is no movie or has no pictures."""
     path = Path(path)
-    container = _open(path)
+    container = opened(path)
     try:
-        _chosen(container, path, 0)
-        count = len(_video_streams(container))
+        chosen_stream(container, path, 0)
+        count = len(video_streams(container))
     finally:
         container.close()
     infos = []
@@ -218,8 +135,8 @@ class Movie:
     def _open_stream(self, *, threads: int | None = None) -> None:
         if self._container is not None:
             self._container.close()
-        self._container = _open(self.path)
-        self._video = _chosen(self._container, self.path, self.stream)
+        self._container = opened(self.path)
+        self._video = chosen_stream(self._container, self.path, self.stream)
         context = self._video.codec_context
         count = threads or self._threads or usable_cores() + FRAMES_AHEAD
         context.thread_type = "AUTO" if count > 1 else "NONE"
@@ -253,64 +170,23 @@ class Movie:
         except PlateError:
             if not self._video.codec_context.pix_fmt:
                 raise
-        video, context = self._video, self._video.codec_context  # only now: reading may have opened the file again
+        context = self._video.codec_context  # only now: reading may have opened the file again
         first = context if first is None else first
-        name = first.format.name if first.format else str(context.pix_fmt)
-        layout = layout_of(name)
-        if layout is None:
-            raise PlateError(f"{self.path}: has {name} pixels, which are not read; export 8 to 16 bit Y'CbCr 4:4:4, 4:2:2, 4:2:0, or RGB")
-        self._layout: Layout = layout
-        size = (int(first.width), int(first.height))
-        words = {**self._container.metadata, **video.metadata}
-        code = words.get("timecode") or next((s.metadata["timecode"] for s in self._container.streams if "timecode" in s.metadata), None)
-        rotation = int(getattr(first, "rotation", 0) or 0)
-        woven = bool(getattr(first, "interlaced_frame", False)) or int(getattr(context, "field_order", 0) or 0) > 1
+        self._layout = picture_layout(self.path, first, context)
         bad = [frame for frame, packet in enumerate(table.shown) if int(packet) in self._bad]
-        return MovieInfo(
-            path=self.path,
-            stream=self.stream,
-            size=size,
+        return described(
+            self.path,
+            self.stream,
+            self._container,
+            self._video,
+            first,
+            matrix=self._options["matrix"],
+            levels=self._options["levels"],
             rate=rate,
             frames=len(table.shown),
-            start_timecode=code,
-            codec=context.name,
-            pixel_format=name,
-            bits=layout.bits,
-            matrix=self._matrix(first, layout, size),
-            full_range=self._full_range(first, layout),
-            primaries=PRIMARIES.get(int(first.color_primaries)) or PRIMARIES.get(int(context.color_primaries)),
-            transfer=TRANSFERS.get(int(first.color_trc)) or TRANSFERS.get(int(context.color_trc)),
-            sample_aspect=Fraction(video.sample_aspect_ratio or 1),
-            interlaced=woven,
-            rotation_deg=rotation,
-            stereo_mode=words.get("stereo_mode"),
             gaps=gaps,
             fault=f"{len(bad)} frames from frame {bad[0]} on cannot be read: {self._bad[int(table.shown[bad[0]])]}" if bad else "",
-            metadata=words,
         )
-
-    def _matrix(self, first: Any, layout: Layout, size: tuple[int, int]) -> str:
-        if layout.is_rgb:
-            return "rgb"
-        if self._options["matrix"] != "auto":
-            return self._options["matrix"]
-        for source in (first, self._video.codec_context):
-            tag = int(source.colorspace)
-            if MATRICES.get(tag, "rgb") != "rgb":
-                return MATRICES[tag]
-            if tag in OTHER_MATRICES:
-                raise PlateError(
-                    f"{self.path}: its colour matrix is {OTHER_MATRICES[tag]}, which is not read; export it as Rec.709, or name the matrix"
-                )
-        return "bt709" if size[0] >= 1280 or size[1] > 576 else "bt601"
-
-    def _full_range(self, first: Any, layout: Layout) -> bool:
-        if self._options["levels"] != "auto":
-            return self._options["levels"] == "full"
-        for source in (first, self._video.codec_context):
-            if int(source.color_range) in (1, 2):
-                return int(source.color_range) == 2
-        return layout.always_full or layout.is_rgb
 
     # Decoding
 
@@ -360,49 +236,16 @@ class Movie:
 
     def _look_for_damage(self, key: int) -> bool:
         """Decode one group of frames packet by packet and note the damage in `_bad`; whether any was found."""
-        import av
-
         table, end = self._table, self._table.next_key(key)
         self._now_threads = 1
         try:
             self._open_stream(threads=1)
-            fault: tuple[int, str] | None = None
-            seen: dict[int, int] = {}
-            got: set[int] = set()
-            last = key
-            try:
-                for at, packet in self._packets_from(key):
-                    if at >= end or at in self._bad:
-                        break
-                    last = at
-                    seen[packet.pts] = at
-                    for picture in self._video.codec_context.decode(packet):
-                        got.add(picture.pts)
-                        if picture.is_corrupt:
-                            fault = (seen.get(picture.pts, at), "its data are damaged")
-                            break
-                    if fault:
-                        break
-                if fault is None:
-                    for picture in self._video.codec_context.decode(None):
-                        got.add(picture.pts)
-                        if picture.is_corrupt and fault is None:
-                            fault = (seen.get(picture.pts, last), "its data are damaged")
-                    lost = [at for pts, at in seen.items() if pts not in got and at in set(table.shown.tolist())]
-                    if lost and fault is None:
-                        fault = (min(lost), "the decoder gives no picture for it")
-            except av.error.FFmpegError as error:
-                fault = (last, f"its data are damaged ({(error.strerror or 'decoder error').lower()})")
-            if fault is None:
-                return False
-            for at in range(fault[0], end):
-                self._bad.setdefault(at, fault[1])
-            # What the next group shows before its key frame leans on this one.
-            if end < len(table.pts):
-                for at in range(end + 1, table.next_key(end)):
-                    if table.pts[at] < table.pts[end]:
-                        self._bad.setdefault(at, fault[1])
-            return True
+            packets = itertools.takewhile(lambda item: item[0] < end and item[0] not in self._bad, self._packets_from(key))
+            # The decoder is looked up anew each time, since reading from the beginning opens the file again.
+            fault = first_damage(table, packets, lambda packet: self._video.codec_context.decode(packet), key)
+            for at in packets_spoilt(table, fault[0], key) if fault else ():
+                self._bad.setdefault(at, fault[1] if fault else "")
+            return fault is not None
         finally:
             self._now_threads = None
             self._open_stream()
@@ -471,18 +314,21 @@ class Movie:
             info = self._opened()
             if not 0 <= index < info.frames:
                 raise PlateError(f"{self.path}: has no frame {index}; it has frames 0-{info.frames - 1}")
-            picture = self._picture(index)
-            if (picture.width, picture.height) != info.size or picture.format.name != info.pixel_format:
-                came = f"{picture.width} x {picture.height} {picture.format.name}"
-                raise PlateError(
-                    f"{self.path}: frame {index} is {came}, the first is {info.size[0]} x {info.size[1]} {info.pixel_format}; split the movie there"
-                )
-            return rgb_from_planes(
-                planes_of(picture, self._layout),
-                bits=info.bits,
-                full_range=info.full_range,
-                matrix=info.matrix,
-                transfer=transfer,
-                siting=self._options["siting"],
-                out=out,
+            return self._converted(info, index, transfer, out)
+
+    def _converted(self, info: MovieInfo, index: int, transfer: Transfer | None, out: Float32 | None) -> Float32:
+        picture = self._picture(index)
+        if (picture.width, picture.height) != info.size or picture.format.name != info.pixel_format:
+            came = f"{picture.width} x {picture.height} {picture.format.name}"
+            raise PlateError(
+                f"{self.path}: frame {index} is {came}, the first is {info.size[0]} x {info.size[1]} {info.pixel_format}; split the movie there"
             )
+        return rgb_from_planes(
+            planes_of(picture, self._layout),
+            bits=info.bits,
+            full_range=info.full_range,
+            matrix=info.matrix,
+            transfer=transfer,
+            siting=self._options["siting"],
+            out=out,
+        )
