@@ -7,6 +7,7 @@ A `Clip` is plain values and goes to other processes; decoders are opened where 
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import re
@@ -22,10 +23,11 @@ import numpy as np
 from stereorelight.arrays import Float32
 from stereorelight.camera import Eye
 from stereorelight.errors import PlateError, ShotError, nearest_hint
-from stereorelight.footage.colour import ColourSettings
+from stereorelight.footage.colour import ColourSettings, encode
 from stereorelight.footage.exr import read_header
 from stereorelight.footage.plates import linear_plate, read_plate
 from stereorelight.footage.sequence import COUNTER, Sequence
+from stereorelight.footage.stills import read_still
 
 if TYPE_CHECKING:
     from stereorelight.footage.movie.reader import Movie, MovieInfo
@@ -115,6 +117,23 @@ class Clip:
             whole = self._movie_plate(int(frame or 0), colour)
         else:
             whole = read_plate(self.file(frame), colour_space=self.colour_space, view=self.view, colour=colour)
+        return part_of(whole, self.eye, self.layout, self.name(frame))
+
+    def encoded(self, frame: int | None = None) -> Float32:
+        """The picture of `frame` as recorded, (H, W, 3) R'G'B' with black 0 and white 1: what a person would see, for finding boards.
+
+        An EXR, which is linear, is coded as sRGB.  Raises : PlateError as `read`.
+        """
+        self.check_frame(frame)
+        if self.is_movie:
+            movie, lock = _movie(str(self.file()), _stamp(self.file()), self.track, self.matrix, self.levels)
+            with lock:
+                whole = movie.read(int(frame or 0) - self.first_frame)
+        elif self.file(frame).suffix.lower() in (".exr", ".dpx"):
+            whole = encode(read_plate(self.file(frame), colour_space=self.colour_space, view=self.view), "sRGB")
+        else:
+            still = read_still(self.file(frame))
+            whole = encode(still.rgb, "sRGB") if still.is_float else still.rgb
         return part_of(whole, self.eye, self.layout, self.name(frame))
 
     def _movie_plate(self, frame: int, colour: ColourSettings) -> Float32:
@@ -281,7 +300,9 @@ def open_clip(text: str | Path, *, eye: Eye = "left", layout: str = "separate", 
     clip = Clip(pictures=pictures, eye=eye, layout="separate" if checked == "auto" else checked, frames=pictures.frames, view=view, **settings)
     if not clip.is_movie:
         first = clip.file(clip.frames[0] if clip.frames else None)
-        return replace(clip, rate=_told_by_file(str(first), *_stamp(first)).rate)
+        with contextlib.suppress(PlateError):  # a damaged picture is told of when it is read, and may not be the only one
+            return replace(clip, rate=_told_by_file(str(first), *_stamp(first)).rate)
+        return clip
     info = _info(clip.file(), track)
     numbers = tuple(range(clip.first_frame, clip.first_frame + info.frames))
     words = tuple(info.metadata.items())

@@ -5,8 +5,8 @@ Every frame is read once and let go: signatures and time offset are taken of all
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,7 @@ from stereorelight.health.focus import judge_focus
 from stereorelight.health.grain import judge_grain
 from stereorelight.health.predict import Prediction, judge_prediction, predict, verdict
 from stereorelight.health.range import judge_range
-from stereorelight.health.repeats import FrameSignature, judge_corrupt, judge_drops, judge_repeats, signature
+from stereorelight.health.repeats import FrameSignature, Signed, judge_corrupt, judge_drops, judge_repeats, signature
 from stereorelight.health.sync import SyncMeter, judge_sync
 from stereorelight.interchange.rigs import read_rig
 from stereorelight.shot.check_look import Look, look
@@ -159,8 +159,8 @@ def health_of(
     pairs = pairs_of(eyes)[::every]
     seen = _passage(pairs, rectified, colour=colour, expected_m=expected_m, on_frame=on_frame)
     if seen.sample is None:
-        name, why = seen.damaged[0]
-        raise PlateError(f"{name}: no frame of the shot can be checked: {why}")
+        _, why = seen.damaged[0]
+        raise PlateError(f"{why}; no frame of the shot can be checked" if len(pairs) > 1 else why)
     findings = [*_files(seen, pairs), *_eyes(seen, rectified), *_in_time(seen, pairs), *_pictures(seen)]
     prediction, foreseen = _foreseen(seen, rectified, subject_m)
     findings += foreseen
@@ -193,7 +193,7 @@ def _passage(
         try:
             found = look(pair.number, plates, following=following, rectification=rectified, near_m=expected_m[0], far_m=expected_m[1])
         except PlateError as error:
-            seen.damaged.append((pair.name, str(error)))
+            seen.damaged.append((pair.name, f"{pair.plate_name('left')} and {pair.plate_name('right')}: {error}"))
             return
         seen.looks.append(found)
         seen.sample = seen.sample or plates
@@ -309,14 +309,35 @@ def _in_time(seen: _Seen, pairs: Sequence[Pair]) -> list[Finding]:
     if len(pairs) < 2:
         return []
     found = [judge_sync(seen.sync.measure())]
+    order = {pair.number: n for n, pair in enumerate(pairs)}
     for judge in (judge_repeats, judge_drops, judge_corrupt):
-        found.append(_graver(judge(seen.left, eye="left"), judge(seen.right, eye="right")))
+        left, right = (_of_runs(judge, _runs(signed, order), eye) for signed, eye in ((seen.left, "left"), (seen.right, "right")))
+        found.append(_graver(left, right))
     return [*found, judge_blur([(one.number, one.blur) for one in seen.looks if one.blur is not None])]
+
+
+def _runs(signed: Signed, order: Mapping[int | None, int]) -> list[Signed]:
+    """The stretches between frames that cannot be read: across such a hole everything seems to jump."""
+    cuts = [n for n in range(1, len(signed)) if order[signed[n][0]] != order[signed[n - 1][0]] + 1]
+    return [signed[a:b] for a, b in zip([0, *cuts], [*cuts, len(signed)])]
+
+
+def _of_runs(judge: Callable[..., Finding], runs: Sequence[Signed], eye: str) -> Finding:
+    """The gravest of the stretches, with the values of all of them; a stretch too short to tell counts only where all are."""
+    each = [judge(run, eye=eye) for run in runs]
+    told = [finding for finding in each if finding.level != "unknown"] or each
+    gravest = max(told, key=lambda finding: (LEVELS.index(finding.level), finding.value or 0.0))
+    total = sum(finding.value or 0.0 for finding in told) if gravest.level != "unknown" else None
+    grave = [finding for finding in told if finding.level == gravest.level]
+    words = gravest.words if gravest.level == "good" else " ".join(finding.words for finding in grave)
+    return replace(gravest, value=total, words=words, frames=tuple(frame for finding in each for frame in finding.frames))
 
 
 def _graver(left: Finding, right: Finding) -> Finding:
     """One finding for both eyes: the graver one; of two grave ones, the words of both."""
     first, other = sorted((left, right), key=lambda finding: -LEVELS.index(finding.level))
+    if first.level == other.level == "good":
+        return replace(first, words=first.words.replace("of the left eye", "of either eye"))
     if other.level in ("good", "unknown", "note"):
         return first
     details = {"left": left.to_dict(), "right": right.to_dict()}
