@@ -9,16 +9,18 @@ A point that stands still says nothing of g, and m and d are unknown.  Rows spea
 varies.  Columns need the law by which d may change: between two moments a rigid body's inverse depth changes by an affine function
 of the place (Z' = T + w_x Y - w_y X), so d(t) is a constant of each point plus an affine function per body and frame; a
 velocity field that changes with time beyond that (a head that speeds up or turns back) is the evidence.  Constant motion
-is swallowed whole by these unknowns, and then the sigma says that nothing is known."""
+is swallowed whole by these unknowns, and then the sigma says that nothing is known.  Where nothing rises or sinks as a whole, a head
+that turns before a camera that stands, shape and motion are solved with the offset instead (`sync_rigid`)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stereorelight.arrays import Bool, Float64
+from stereorelight.health.sync_rigid import Optics, fit_rigid
 from stereorelight.health.sync_tracks import Tracks
 
 ROUNDS = 8
@@ -33,6 +35,11 @@ OUTLINE, OUTLINE_PX = 0.02, 14.0  # of the width, and pixels: a point's window m
 LEAST_LIFT_PX = 0.15  # working pixels a frame
 MOVES_PX = 0.12  # pixels a frame of the working picture: slower points are taken to stand
 CELLS = (8, 6)  # errors within a cell of the frame are taken to be of one piece
+LEAST_RIGID, MOST_RIGID = 20, 160  # tracks of a rigid body
+LEAST_RIGID_SHARE = 0.25  # mean weight of its tracks
+TYPICAL_FOCAL, FOCAL_SIGMA = 1.2, 0.3  # of the width, and of the logarithm: what is known where no rig is given
+SIDE_SIGMA = 0.05  # of the width: how the eyes may be shifted against each other
+RIGID_CAUTION = 1.5  # its sigma against the errors on rendered heads, where points wander alike
 SIGMA_FLOOR = 0.01  # frames; what the model itself may be wrong by
 
 
@@ -259,7 +266,8 @@ def _common_lift(runs: Sequence[_Run]) -> float:
     """RMS of what the bodies rise or sink as wholes, working pixels a frame.
 
     A head that turns about its axis shows a frame later much what the other eye shows now, slides of its points included: that
-    once passed for 0.7 frame on cameras in step.  So a fit is believed only where something also moves up or down as a whole.
+    once passed for 0.7 frame on cameras in step.  So this fit is believed only where something also moves up or down as a whole;
+    the rest is left to the rigid body.
     """
     lifts = []
     for run in runs:
@@ -274,6 +282,30 @@ def _common_lift(runs: Sequence[_Run]) -> float:
                 if known[:, t].sum() >= LEAST_BODY
             ]
     return float(np.sqrt(np.mean(np.square(lifts)))) if lifts else 0.0
+
+
+def _as_rigid(runs: Sequence[_Run], start: float | None, nothing: OffsetFit) -> OffsetFit:
+    """The offset from the largest rigid motion of each run; runs that contradict one another widen the sigma."""
+    fits = []
+    for run in runs:
+        mine = np.flatnonzero(run.body >= 0)
+        if len(mine) < LEAST_RIGID:
+            continue
+        mine = mine[:: -(-len(mine) // MOST_RIGID)]
+        x, y, xr, yr = (p[mine] for p in (run.x, run.y, run.x_right, run.y_right))
+        w, h = run.width, run.height
+        optics = Optics(focal=TYPICAL_FOCAL * w, cx=(w - 1) / 2, cy=(h - 1) / 2, focal_sigma=FOCAL_SIGMA, side_sigma=SIDE_SIGMA * w)
+        found = fit_rigid(x, y, xr, yr, run.cell[mine], shift=run.shift, optics=optics, start=start)
+        if np.isfinite(found.sigma_frames) and found.weight.mean() >= LEAST_RIGID_SHARE:
+            fits.append((found.offset_frames, found.sigma_frames * RIGID_CAUTION))
+    if not fits:
+        return nothing
+    offsets, sigmas = np.array(fits).T
+    weight = 1 / (sigmas**2 + SIGMA_FLOOR**2)
+    offset = float(weight @ offsets / weight.sum())
+    spread = float(weight @ (offsets - offset) ** 2 / weight.sum()) / max(len(fits) - 1, 1)
+    sigma = float(np.sqrt(max(1 / weight.sum(), spread) + SIGMA_FLOOR**2))
+    return replace(nothing, offset_frames=offset, sigma_frames=sigma)
 
 
 def fit_offset(tracks: Sequence[Tracks], *, start: float | None = None) -> OffsetFit:
@@ -294,8 +326,10 @@ def fit_offset(tracks: Sequence[Tracks], *, start: float | None = None) -> Offse
         tracks=count,
         moving=int(speeds.size),
     )
-    if speeds.size < LEAST_BODY or _common_lift(runs) < LEAST_LIFT_PX:
+    if speeds.size < LEAST_BODY:
         return nothing
+    if _common_lift(runs) < LEAST_LIFT_PX:
+        return _as_rigid(runs, start, nothing)
     offset = float(tracks[0].shift if start is None else start)
     sigma, share = float("inf"), 0.0
     for _ in range(ROUNDS):
