@@ -1,8 +1,10 @@
-"""The one place that says how many threads numba and OpenCV take, so that neither takes every core twice."""
+"""The one place that says how many threads numba, OpenCV and BLAS take, so that none takes every core twice."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 
 from stereorelight.errors import ShotError
 
@@ -23,3 +25,12 @@ def set_threads(count: int | None = None) -> int:
     cv2.setNumThreads(count)
     numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
     return count
+
+
+@contextlib.contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Linear algebra on one thread: for many small matrices that is three times faster, and the bits do not depend on the machine."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, user_api="blas"):
+        yield

@@ -120,6 +120,19 @@ def second_board(picture: npt.ArrayLike, board: Board, first: Detection) -> bool
     return _found(np.ascontiguousarray(rest[:, ::-1]) if first.mirrored else rest, board, thorough=False) is not None
 
 
+def larger_grid(picture: npt.ArrayLike, board: Board) -> tuple[int, int] | None:
+    """(columns, rows) of a chessboard in sight that has more corners than `board` says, or None.
+
+    A smaller count is found inside the true board; the growing search that finds the whole of it may stop early, so only more
+    corners than told are believed.
+    """
+    seen = _grid_seen(next(_searches(grey_levels(picture), thorough=False))[0])
+    told = sorted((board.columns, board.rows))
+    if seen is None or sorted(seen) == told or any(a < b for a, b in zip(sorted(seen), told)):
+        return None
+    return seen
+
+
 def what_else(picture: npt.ArrayLike, board: Board) -> str:
     """Why `board` was not found, in words: another count of corners, other markers, or "" where nothing like a board is seen."""
     grey = grey_levels(picture)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from stereorelight.calibration.board import Board
-from stereorelight.calibration.corners import Detection, detect, what_else
+from stereorelight.calibration.corners import Detection, detect, larger_grid, what_else
 from stereorelight.calibration.lens_choice import CANDIDATES, Choice, choose
 from stereorelight.calibration.sightings import StereoViews
 from stereorelight.calibration.solve import NOTHING_KNOWN, Calibration, Known
@@ -29,7 +29,7 @@ from stereorelight.footage.clip import Clip, open_clip
 from stereorelight.footage.sequence import frame_range
 from stereorelight.shot.pairs import EYES
 from stereorelight.shot.receipt import code_digest, digest
-from stereorelight.threads import usable_cores
+from stereorelight.threads import one_blas_thread, usable_cores
 
 LOOKED_AT = 90  # frames of a movie: a second or so of hand movement lies between two
 VIEWS = 30  # solved together; more hardly add, and each costs
@@ -135,8 +135,9 @@ def calibrate(
         mirrored=turned,
     )
     sizes = _size(pairs.left), _size(pairs.right)
-    choice, solved = choose(used, sizes, known, candidates=tuple(lenses))
-    quality = validate(solved, distances_m=distances_m)
+    with one_blas_thread():
+        choice, solved = choose(used, sizes, known, candidates=tuple(lenses))
+        quality = validate(solved, distances_m=distances_m)
     first = chosen[0] if not clips[0].is_single else None
     example = tuple(_upright(clip.encoded(first), eye == turned) for clip, eye in zip(clips, EYES))
     return Session(
@@ -216,8 +217,9 @@ def _check_count(clips: tuple[Clip, Clip], found: Sequence[Mapping[int | None, D
         return
     for clip, seen in zip(clips, found):
         sharpest = max((f for f, d in seen.items() if d is not None), key=lambda f: seen[f].sharpness)  # type: ignore[union-attr]
-        if other := what_else(clip.encoded(sharpest), board):
-            raise PlateError(f"{clip.name(sharpest)}: not the board {board.spec}: {other}")
+        if (seen := larger_grid(clip.encoded(sharpest), board)) is not None:
+            wanted = f"{seen[0]}x{seen[1]} inner corners are seen; count them where four squares meet"
+            raise PlateError(f"{clip.name(sharpest)}: has a larger chessboard than {board.spec}: {wanted}")
 
 
 def _detections(
