@@ -55,18 +55,22 @@ def write_movie(
     tags: tuple[str, bool] | None = None,
     timecode: str | None = None,
     steps: Sequence[int] | None = None,
-    streams: int = 1,
+    second: Iterable[Sequence[np.ndarray]] | None = None,
+    options: dict[str, str] | None = None,
+    container: str | None = None,
 ) -> Path:
     """A movie of planes as the pixel format has them.
 
     tags  : (matrix, full range), on the codec and on every frame; None leaves them out.
     steps : presentation times of the frames in frames; None for 0, 1, 2 ...
+    second: frames of a second video track.         options, container : of the file; None for the container of its suffix.
     """
-    codec, pixel_format, options = kind
-    with av.open(str(path), "w") as container:
+    codec, pixel_format, wishes = kind
+    tracks = [frames] if second is None else [frames, second]
+    with av.open(str(path), "w", format=container, options=options or {}) as file:
         made = []
-        for _ in range(streams):
-            stream = container.add_stream(codec, rate=rate, options=dict(options))
+        for _ in tracks:
+            stream = file.add_stream(codec, rate=rate, options=dict(wishes))
             stream.width, stream.height, stream.pix_fmt = *size, pixel_format
             stream.codec_context.time_base = 1 / rate
             if tags:
@@ -74,16 +78,16 @@ def write_movie(
             if timecode:
                 stream.metadata["timecode"] = timecode
             made.append(stream)
-        for number, planes in enumerate(frames):
-            for stream in made:
+        for number, pictures in enumerate(zip(*tracks, strict=True)):
+            for stream, planes in zip(made, pictures, strict=True):
                 frame = av.VideoFrame(*size, pixel_format)
                 fill(frame, planes)
                 if tags:
                     frame.colorspace, frame.color_range = SPC[tags[0]], 2 if tags[1] else 1
                 frame.pts, frame.time_base = (steps[number] if steps else number), 1 / rate
                 for packet in stream.encode(frame):
-                    container.mux(packet)
+                    file.mux(packet)
         for stream in made:
             for packet in stream.encode(None):
-                container.mux(packet)
+                file.mux(packet)
     return path

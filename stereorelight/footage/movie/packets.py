@@ -9,6 +9,7 @@ throws away are no frames, and neither are those shown before the first key fram
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -18,6 +19,7 @@ import numpy.typing as npt
 
 from stereorelight.errors import PlateError
 
+DURATION = re.compile(r"(\d+):(\d+):(\d+(?:\.\d+)?)")  # Matroska's word for where a track ends
 # A container's clock may be as coarse as a millisecond (Matroska), or jitter by a few parts of a hundred (telephones).
 JITTER = 0.05  # of a frame's duration, or two ticks of the clock if that is more
 SAME_RATE = 1e-6  # relative; 24 and 24000/1001 are a thousand times further apart
@@ -143,3 +145,19 @@ def rate_of(table: PacketTable, stream: Any, name: str) -> tuple[Fraction, tuple
             "conform it to a constant rate first (ffmpeg -fps_mode cfr), and check that the eyes stay together"
         )
     return rate, tuple(int(k) for k in odd)
+
+
+def frames_lost(table: PacketTable, container: Any, stream: Any, rate: Fraction) -> int:
+    """How many frames at the end the container tells of and the file does not hold; 0 where it does not tell."""
+    kinds = set(container.format.name.split(","))
+    if "mov" in kinds:
+        return max(0, int(stream.frames) - len(table.pts))
+    if "matroska" not in kinds:
+        return 0
+    told = next((DURATION.fullmatch(str(v)) for k, v in stream.metadata.items() if k.upper() == "DURATION"), None)
+    if told is None:
+        return 0
+    seconds = int(told[1]) * 3600 + int(told[2]) * 60 + Fraction(told[3])
+    last = int(table.pts[table.shown[-1]]) * Fraction(stream.time_base)
+    lost = round((seconds - last) * rate) - 1
+    return lost if lost > 0 else 0

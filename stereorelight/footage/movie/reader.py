@@ -30,7 +30,7 @@ from stereorelight.footage.movie.container import chosen_stream, opened, video_s
 from stereorelight.footage.movie.damage import first_damage, packets_spoilt
 from stereorelight.footage.movie.info import MovieInfo as MovieInfo
 from stereorelight.footage.movie.info import described, picture_layout
-from stereorelight.footage.movie.packets import PacketTable, packet_table, rate_of
+from stereorelight.footage.movie.packets import PacketTable, frames_lost, packet_table, rate_of
 from stereorelight.footage.movie.pixels import planes_of
 from stereorelight.footage.ycbcr import Transfer, rgb_from_planes, weights
 from stereorelight.threads import usable_cores
@@ -174,6 +174,11 @@ class Movie:
         first = context if first is None else first
         self._layout = picture_layout(self.path, first, context)
         bad = [frame for frame, packet in enumerate(table.shown) if int(packet) in self._bad]
+        which = f"frame {bad[0]}" if len(bad) == 1 else f"{len(bad)} frames from frame {bad[0]} on" if bad else ""
+        faults = [f"{which} cannot be read: {self._bad[int(table.shown[bad[0]])]}"] if bad else []
+        lost = frames_lost(table, self._container, self._video, rate)
+        if lost:
+            faults.append(f"the file is cut short: {lost} {'frames' if lost > 1 else 'frame'} missing after frame {len(table.shown) - 1}")
         return described(
             self.path,
             self.stream,
@@ -185,7 +190,7 @@ class Movie:
             rate=rate,
             frames=len(table.shown),
             gaps=gaps,
-            fault=f"{len(bad)} frames from frame {bad[0]} on cannot be read: {self._bad[int(table.shown[bad[0]])]}" if bad else "",
+            fault="; ".join(faults),
         )
 
     # Decoding
@@ -313,7 +318,7 @@ class Movie:
         with self._lock:
             info = self._opened()
             if not 0 <= index < info.frames:
-                raise PlateError(f"{self.path}: has no frame {index}; it has frames 0-{info.frames - 1}")
+                raise PlateError(f"{self.path}: has no frame {index}; it has frames 0-{info.frames - 1}{info.fault and f' ({info.fault})'}")
             return self._converted(info, index, transfer, out)
 
     def _converted(self, info: MovieInfo, index: int, transfer: Transfer | None, out: Float32 | None) -> Float32:
