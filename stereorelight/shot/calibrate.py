@@ -217,8 +217,8 @@ def _check_count(clips: tuple[Clip, Clip], found: Sequence[Mapping[int | None, D
         return
     for clip, seen in zip(clips, found):
         sharpest = max((f for f, d in seen.items() if d is not None), key=lambda f: seen[f].sharpness)  # type: ignore[union-attr]
-        if (seen := larger_grid(clip.encoded(sharpest), board)) is not None:
-            wanted = f"{seen[0]}x{seen[1]} inner corners are seen; count them where four squares meet"
+        if (larger := larger_grid(clip.encoded(sharpest), board)) is not None:
+            wanted = f"{larger[0]}x{larger[1]} inner corners are seen; count them where four squares meet"
             raise PlateError(f"{clip.name(sharpest)}: has a larger chessboard than {board.spec}: {wanted}")
 
 
