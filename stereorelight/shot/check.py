@@ -188,12 +188,15 @@ def _passage(
     seen = _Seen()
     close = {int(i) for i in np.unique(np.linspace(0, max(len(pairs) - 2, 0), min(len(pairs), CLOSE_FRAMES)).round())}
     waiting: tuple[Pair, tuple[Float32, Float32]] | None = None
+    owed = 0  # of the frames to be looked at closely, those that could not be: the next good ones take their places
 
     def look_at(pair: Pair, plates: tuple[Float32, Float32], following: tuple[Float32, Float32] | None) -> None:
+        nonlocal owed
         try:
             found = look(pair.number, plates, following=following, rectification=rectified, near_m=expected_m[0], far_m=expected_m[1])
         except PlateError as error:
             seen.damaged.append((pair.name, f"{pair.plate_name('left')} and {pair.plate_name('right')}: {error}"))
+            owed += 1
             return
         seen.looks.append(found)
         seen.sample = seen.sample or plates
@@ -204,6 +207,9 @@ def _passage(
             plates = _upright(pair, rectified, colour)
         except PlateError as error:
             seen.damaged.append((pair.name, str(error)))
+            owed += n in close
+            if waiting is not None:
+                look_at(*waiting, None)
             waiting = None
             continue
         if waiting is not None:
@@ -215,7 +221,8 @@ def _passage(
             views = plates if rectified is None else (rectified.rectify(plates[0], "left"), rectified.rectify(plates[1], "right"))
             if views[0].shape == views[1].shape:
                 seen.sync.add(int(pair.number or 0), *views)
-        if n in close:
+        if n in close or owed:
+            owed -= n not in close
             waiting = (pair, plates)
     if waiting is not None:
         look_at(*waiting, None)
