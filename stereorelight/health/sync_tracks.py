@@ -62,10 +62,10 @@ def texture(toned: Float32) -> UInt8:
     return np.rint(np.clip(128 + 45 * detail / spread, 0, 255)).astype(np.uint8)
 
 
-def _points(picture: UInt8, later: UInt8) -> Float32:
-    """Well-marked points (n, 2), spread over the frame, a good part of them where the picture changes with time."""
+def _points(picture: UInt8, others: Sequence[UInt8]) -> Float32:
+    """Well-marked points (n, 2), spread over the frame, a good part of them where other moments differ from this one."""
     h, w = picture.shape
-    change = cv2.GaussianBlur(cv2.absdiff(picture, later).astype(np.float32), (0, 0), 5)
+    change = cv2.GaussianBlur(np.sum([cv2.absdiff(picture, other) for other in others], axis=0, dtype=np.float32), (0, 0), 5)
     moves = change > np.median(change) * 1.5
     # A point on a slanted line slides along it, by time and by eye alike, which looks just like an offset: only round corners count.
     values = cv2.cornerEigenValsAndVecs(picture, WINDOW[0], 3)[..., :2]
@@ -104,26 +104,34 @@ def _follow(a: UInt8, b: UInt8, points: Float32, guess: Float32, levels: int, ho
 
 
 def follow(left: Sequence[UInt8], right: Sequence[UInt8], *, shift: int = 0) -> Tracks:
-    """Tracks through a run of textures; right[i] is looked at together with left[i], whatever its number."""
+    """Tracks through a run of textures; right[i] is looked at together with left[i], whatever its number.
+
+    They begin in the middle and go both ways: what a point slides over its surface grows with time.
+    """
     count = min(len(left), len(right))
     h, w = left[0].shape
-    points = _points(left[0], left[min(1, count - 1)])
-    out = np.full((4, len(points), count), np.nan)
-    if len(points) == 0:
+    middle = count // 2
+    begun = _points(left[middle], (left[0], left[min(middle + 1, count - 1)], left[count - 1]))
+    out = np.full((4, len(begun), count), np.nan)
+    if len(begun) == 0:
         return Tracks(x=out[0], y=out[1], x_right=out[2], y_right=out[3], shift=shift, size=(w, h))
     dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    across = dis.calc(left[0], right[0], None)
-    column, row = points[:, 0].astype(int), points[:, 1].astype(int)
-    apart, alive = across[row, column], np.ones(len(points), bool)
-    speed = np.zeros_like(points)
-    for t in range(count):
-        if t:
-            at, kept = _follow(left[t - 1], left[t], points, points + speed, 3, HOME_PX)
-            alive &= kept
-            speed, points = np.where(alive[:, None], at - points, 0), np.where(alive[:, None], at, points)
-        seen, matched = _follow(left[t], right[t], points, points + apart, 1, HOME_EYE_PX)
-        matched &= alive
-        apart = np.where(matched[:, None], seen - points, apart)
-        out[0:2, alive, t] = points[alive].T
-        out[2:4, matched, t] = seen[matched].T
+    across = dis.calc(left[middle], right[middle], None)
+    column, row = begun[:, 0].astype(int), begun[:, 1].astype(int)
+    for way in (1, -1):
+        points, apart, alive = begun, across[row, column], np.ones(len(begun), bool)
+        speed = np.zeros_like(points)
+        for t in range(middle, count if way > 0 else -1, way):
+            if t != middle:
+                at, kept = _follow(left[t - way], left[t], points, points + speed, 3, HOME_PX)
+                alive = alive & kept
+                speed, points = np.where(alive[:, None], at - points, 0), np.where(alive[:, None], at, points)
+            elif way < 0:
+                apart = np.where(np.isfinite(out[2:4, :, t].T), out[2:4, :, t].T - points, apart).astype(np.float32)
+                continue
+            seen, matched = _follow(left[t], right[t], points, points + apart, 1, HOME_EYE_PX)
+            matched &= alive
+            apart = np.where(matched[:, None], seen - points, apart)
+            out[0:2, alive, t] = points[alive].T
+            out[2:4, matched, t] = seen[matched].T
     return Tracks(x=out[0], y=out[1], x_right=out[2], y_right=out[3], shift=shift, size=(w, h))
