@@ -18,12 +18,12 @@ import tempfile
 import time
 from fractions import Fraction
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from stereorelight.footage.colour import transfer_table
 from stereorelight.footage.movie.reader import Movie
 from stereorelight.threads import set_threads
 from tests.movie_files import write_movie
@@ -63,20 +63,12 @@ def texture(pixel_format: str) -> list[list[np.ndarray]]:
     return frames
 
 
-def log_table() -> SimpleNamespace:
-    """A camera's log curve and a matrix of primaries, as `footage.colour.transfer_table` would give."""
-    values = (10 ** (3.0 * np.linspace(-0.2, 1.3, 32769) - 2)).astype(np.float32)
-    matrix = np.array([[0.9, 0.08, 0.02], [0.05, 0.9, 0.05], [0.01, 0.09, 0.9]], np.float32)
-    values.setflags(write=False)
-    return SimpleNamespace(low=-0.2, high=1.3, table=values, matrix=matrix)
-
-
 def peak_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def ours(paths: list[Path], frames: int) -> float:
-    table = log_table()
+    table = transfer_table("LogC3")  # a camera's log curve and the matrix of its primaries
     start = time.perf_counter()
     with Movie(paths[0]) as left, Movie(paths[1]) as right:
         for k in range(frames):
