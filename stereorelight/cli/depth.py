@@ -27,6 +27,7 @@ from stereorelight.cli.common import (
 @out_option
 @eye_option
 @click.option("--quality", default="standard", show_default=True, help="draft, standard or fine.")
+@click.option("--matcher", default="sgbm", show_default=True, metavar="NAME", help="sgbm, onnx:model.onnx, or a registered name.")
 @click.option("--near", "near_m", type=float, metavar="M", help="Nearest distance to search, metres; found from the plates when left out.")
 @click.option("--far", "far_m", type=float, metavar="M", help="Farthest one.")
 @pairing_options
@@ -41,6 +42,7 @@ def command(
     out: str,
     eye: Literal["left", "right"],
     quality: str,
+    matcher: str,
     near_m: float | None,
     far_m: float | None,
     layout: str,
@@ -64,10 +66,12 @@ def command(
     from stereorelight.interchange.rigs import read_rig
     from stereorelight.shot.pairs import flip_word, pairs, read_upright, recover_pair
     from stereorelight.shot.steps import depth_figures
+    from stereorelight.stereo.matchers import check_matcher
     from stereorelight.stereo.rectify import rectification
     from stereorelight.stereo.settings import DepthSettings
 
-    settings = DepthSettings(quality=quality, near_m=near_m, far_m=far_m)
+    settings = DepthSettings(quality=quality, near_m=near_m, far_m=far_m, matcher=matcher)
+    check_matcher(matcher)
     rectified = rectification(read_rig(rig_path))
     found = pairs(left, right, frames=frames, layout=layout, sync=sync, right_late_frames=right_late_frames, colour_space=colour_space)
     paths = outputs_for(out, [pair.number for pair in found], force=force)

@@ -22,6 +22,7 @@ from stereorelight.footage.clip import PACKED, is_movie
 from stereorelight.footage.colour import ColourSettings, check_colour, checked_display, working_space
 from stereorelight.footage.sequence import frame_range
 from stereorelight.light.lights import Light, lights_from_dicts
+from stereorelight.stereo.matchers import check_matcher, from_folder
 from stereorelight.stereo.settings import DepthSettings
 
 HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
@@ -73,6 +74,7 @@ class DepthTable(Table):
     far_m: float | None = None
     consistency_px: float = 1.0
     fill: bool = True
+    matcher: str = Field(default="sgbm", min_length=1)
 
 
 class SurfaceTable(Table):
@@ -291,7 +293,8 @@ def read_shot(path: str | Path) -> Shot:
     path = Path(path)
     tables, lines = _checked_tables(path, ShotTables)
     try:
-        depth = DepthSettings(**tables.depth.model_dump())
+        depth = DepthSettings(**tables.depth.model_dump() | {"matcher": from_folder(tables.depth.matcher, path.parent)})
+        check_matcher(depth.matcher)
     except StereoRelightError as error:
         key = next((k for k in DepthTable.model_fields if k in str(error)), "quality")
         raise ShotError(f"{_where(path, lines, ('depth', key))}: {error}") from None

@@ -19,7 +19,9 @@ from stereorelight.light.lights import to_dict
 from stereorelight.passes import Flag, Frame
 from stereorelight.shot.job import FrameJob
 from stereorelight.shot.pictures import relit_names, relit_pictures, scene_names, scene_pictures
+from stereorelight.shot.receipt import file_digest
 from stereorelight.shot.schema import Shot
+from stereorelight.stereo.matchers import matcher_file
 
 
 def colour_key(shot: Shot) -> list[str | None]:
@@ -32,6 +34,12 @@ def colour_key(shot: Shot) -> list[str | None]:
 def view_key(shot: Shot) -> list[str | None]:
     """What the previews' colours depend on beyond the plates."""
     return [shot.colour.display, shot.colour.view]
+
+
+def matcher_key(shot: Shot) -> str | None:
+    """What a matcher's own file holds, where it has one."""
+    file = matcher_file(shot.depth.matcher)
+    return None if file is None or not file.is_file() else file_digest(file)
 
 
 Figures = dict[str, Any]
@@ -132,7 +140,7 @@ STEPS: tuple[Step, ...] = (
         name="depth",
         sources=True,
         rooms=("stereo", "footage", "engine", "shot/job.py"),
-        settings=lambda shot: [shot.tables.depth.model_dump(), shot.tables.plates.match_colour, colour_key(shot)],
+        settings=lambda shot: [shot.tables.depth.model_dump(), matcher_key(shot), shot.tables.plates.match_colour, colour_key(shot)],
         files=lambda job: [job.depth_path],
         make=_make_depth,
     ),

@@ -20,7 +20,8 @@ from stereorelight.stereo import confidence as belief
 from stereorelight.stereo.colour_match import ColourMatch
 from stereorelight.stereo.colour_match import match_colour as colour_matched
 from stereorelight.stereo.flow import flow_disparity
-from stereorelight.stereo.match import DisparityRange, coarse_disparity, match, search_range
+from stereorelight.stereo.match import DisparityRange, Match, coarse_disparity, match, search_range
+from stereorelight.stereo.matchers import OWN, match_by, matcher_named
 from stereorelight.stereo.proxy import Proxy, matching_proxy
 from stereorelight.stereo.rectify import Rectification
 from stereorelight.stereo.refine import EFFORTS, Refined, refine
@@ -54,9 +55,15 @@ class RectifiedDepth:
     vertical_px: float
 
 
+def _matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> Match:
+    if settings.matcher == OWN:
+        return match(proxy, search, exhaustive=settings.quality == "fine")
+    return match_by(matcher_named(settings.matcher), settings.matcher.partition(":")[0], proxy, search)
+
+
 def disparity_of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> RectifiedDepth:
     """Match, check, refine and judge the left eye of a rectified pair."""
-    found = match(proxy, search, exhaustive=settings.quality == "fine")
+    found = _matched(proxy, search, settings)
     confirmed = consistent(found.left, found.right, within_px=settings.consistency_px)
     flow = None if settings.quality == "draft" else flow_disparity(proxy)
     dense = found.dense

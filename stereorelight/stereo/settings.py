@@ -18,6 +18,7 @@ class DepthSettings:
     near_m, far_m      : nearest and farthest distance to search; None finds them from the pictures.
     consistency_px     : left-right difference above which a match is not believed.
     fill               : give every pixel a value, flagged FILLED where it is a guess.
+    matcher            : "sgbm", the toolkit's own; "onnx:FILE"; or a registered name (stereo/matchers.py).
     """
 
     quality: str = "standard"
@@ -25,6 +26,7 @@ class DepthSettings:
     far_m: float | None = None
     consistency_px: float = 1.0
     fill: bool = True
+    matcher: str = "sgbm"
 
     def __post_init__(self) -> None:
         if self.quality not in QUALITIES:
@@ -35,5 +37,7 @@ class DepthSettings:
                 raise ShotError(f"depth {name} must be > 0 metres, got {value!r}")
         if self.near_m is not None and self.far_m is not None and self.near_m >= self.far_m:
             raise ShotError(f"depth near_m must be less than far_m, got {self.near_m:g} and {self.far_m:g}")
+        if not self.matcher:
+            raise ShotError("depth matcher must be a name; leave it out for the toolkit's own")
         if not self.consistency_px > 0:
             raise ShotError(f"depth consistency_px must be > 0, got {self.consistency_px!r}")
