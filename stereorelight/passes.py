@@ -32,6 +32,7 @@ class Flag(enum.IntFlag):
     TOO_FAR = 16  # nearer to infinity than the disparity can tell
     TOO_NEAR = 32  # nearer than the searched range
     BAD_PLATE = 64  # the plate itself is NaN or infinite there
+    REPAIRED = 128  # a person said so
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,9 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         "disparity": Role(None, "x_left - x_right on the rectified pair, pixels"),
         "confidence": Role(None, "share of such pixels within 1 px of truth", low=0, high=1),
         "flags": Role(None, "reason bits, see Flag"),
+        "disparity_sigma": Role(None, "standard deviation of the disparity, pixels", low=0),
+        "Z_sigma": Role(None, "standard deviation of Z, metres", low=0),
+        "N_sigma": Role(None, "standard deviation of N's direction, degrees", low=0),
         "P": Role(3, "position, scene frame of the camera, metres"),
         "N": Role(3, "unit normal, scene frame of the camera, faces the camera", unit_length=True),
         "plate": Role(3, "the plate, scene-linear", colour=True),
