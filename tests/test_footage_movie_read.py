@@ -336,6 +336,35 @@ def test_a_truncated_movie_keeps_its_good_frames(name: str, suffix: str, tmp_pat
         assert Movie(path).info.fault == ""
 
 
+@pytest.mark.parametrize(("every", "lost"), [("1", {13}), ("6", {13, 14, 15, 16, 17})])
+def test_ffv1_that_decodes_but_is_not_what_was_written(every: str, lost: set[int], tmp_path: Path) -> None:
+    """FFmpeg paints a slice that fails its checksum over and says nothing: the frame is refused, those that lean on it too, no other."""
+    rng = np.random.default_rng(5)
+    frames = [(rng.integers(0, 1023, (SIZE[1], SIZE[0])).astype(np.uint16),) * 3 for _ in range(24)]
+    path = write_movie(tmp_path / "whole.mkv", frames, SIZE, ("ffv1", "yuv444p10le", {"level": "3", "g": every, "slices": "4"}))
+    data = bytearray(path.read_bytes())
+    with av.open(str(path)) as container:
+        packet = [bytes(packet) for packet in container.demux(video=0) if packet.size][13]
+    at = data.index(packet) + len(packet) // 2
+    data[at] ^= 1  # one bit
+    (tmp_path / "hurt.mkv").write_bytes(data)
+    with Movie(tmp_path / "hurt.mkv", first_frame=1001) as hurt, Movie(path) as whole:
+        for number in (*range(24), 20, 13, 2):
+            if number in lost:
+                with pytest.raises(PlateError, match=f"frame {1001 + number} cannot be read: .* checksum; frames 1001-1013 before it are good"):
+                    hurt.read(number)
+            else:
+                np.testing.assert_array_equal(hurt.read(number), whole.read(number))
+
+
+def test_ffv1_without_checksums_is_read_as_it_is(tmp_path: Path) -> None:
+    frames = [planes_for("yuv420p", k) for k in range(3)]
+    for number, options in enumerate(({"level": "1"}, {"level": "3", "slices": "4", "slicecrc": "0"})):
+        path = write_movie(tmp_path / f"{number}.mkv", frames, SIZE, ("ffv1", "yuv420p", options))
+        with Movie(path) as movie:
+            assert [movie.read(k).shape for k in range(3)] == [(SIZE[1], SIZE[0], 3)] * 3
+
+
 def test_what_is_no_movie(tmp_path: Path) -> None:
     text = tmp_path / "a.mov"
     text.write_text("no movie " * 500)

@@ -245,7 +245,7 @@ def test_upside_down(clean: Plates) -> None:
 
 def test_few_matches_are_said_and_refused() -> None:
     assert judge_matches([(1, 500), (2, 40)]).level == "bad"
-    assert judge_matches([(1, 500), (2, 40)]).words.startswith("frame 2 has 40 points")
+    assert judge_matches([(1, 500), (2, 40)]).words.startswith("Frame 2 has 40 points")
     assert judge_matches([(None, 100)]).level == "warn"
     few = Matches(left=np.zeros((59, 2)), right=np.zeros((59, 2)), sigma_px=np.ones(59), size=SIZE)
     with pytest.raises(PlateError, match=r"only 59 matches .* needs 60"):

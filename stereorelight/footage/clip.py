@@ -126,7 +126,7 @@ class Clip:
         """
         self.check_frame(frame)
         if self.is_movie:
-            movie, lock = _movie(str(self.file()), _stamp(self.file()), self.track, self.matrix, self.levels)
+            movie, lock = self._opened()
             with lock:
                 whole = movie.read(int(frame or 0) - self.first_frame)
         elif self.file(frame).suffix.lower() in (".exr", ".dpx"):
@@ -136,10 +136,13 @@ class Clip:
             whole = encode(still.rgb, "sRGB") if still.is_float else still.rgb
         return part_of(whole, self.eye, self.layout, self.name(frame))
 
+    def _opened(self) -> tuple[Movie, threading.Lock]:
+        return _movie(str(self.file()), _stamp(self.file()), self.track, self.matrix, self.levels, self.first_frame)
+
     def _movie_plate(self, frame: int, colour: ColourSettings) -> Float32:
         from stereorelight.footage.colour import transfer_table
 
-        movie, lock = _movie(str(self.file()), _stamp(self.file()), self.track, self.matrix, self.levels)
+        movie, lock = self._opened()
         space = self._movie_space(movie.info)
         with lock:
             table = None if space == "linear" else transfer_table(space, colour)
@@ -270,11 +273,11 @@ def _told_by_file(file: str, size: int, changed_ns: int) -> _Told:
 
 
 @functools.lru_cache(maxsize=OPEN_MOVIES)
-def _movie(path: str, stamp: tuple[int, int], track: int, matrix: str, levels: str) -> tuple[Movie, threading.Lock]:
+def _movie(path: str, stamp: tuple[int, int], track: int, matrix: str, levels: str, first_frame: int) -> tuple[Movie, threading.Lock]:
     """A decoder that stays where it stopped, so that frames in order are read without seeking; another one once the file has changed."""
     from stereorelight.footage.movie.reader import Movie
 
-    return Movie(path, stream=track, matrix=matrix, levels=levels), threading.Lock()
+    return Movie(path, stream=track, matrix=matrix, levels=levels, first_frame=first_frame), threading.Lock()
 
 
 def close_movies() -> None:
@@ -282,7 +285,8 @@ def close_movies() -> None:
     _movie.cache_clear()
 
 
-def _checked_layout(layout: str) -> Layout:
+def checked_layout(layout: str) -> Layout:
+    """`layout` itself where it is one of `LAYOUTS`.  Raises ShotError with the nearest name."""
     for known in LAYOUTS:
         if layout == known:
             return known
@@ -295,7 +299,7 @@ def open_clip(text: str | Path, *, eye: Eye = "left", layout: str = "separate", 
     settings : further fields of `Clip`: first_frame, matrix, levels, colour_space.
     Raises   : PlateError when there is no such file, frame, track or view; ShotError for a layout that is unknown.
     """
-    checked = _checked_layout(layout)
+    checked = checked_layout(layout)
     pictures = Sequence.parse(text, view=eye)
     clip = Clip(pictures=pictures, eye=eye, layout="separate" if checked == "auto" else checked, frames=pictures.frames, view=view, **settings)
     if not clip.is_movie:

@@ -168,6 +168,10 @@ def _is_linear(config: Any, name: str) -> bool:
         return False
 
 
+def _not_linear(name: str) -> ShotError:
+    return ShotError(f"working space {name!r} is not scene-linear; use 'linear Rec.709', 'ACEScg' or another linear space")
+
+
 def working_space(settings: ColourSettings = DEFAULT) -> str:
     """The working space's name: "linear Rec.709", or as the config spells it.  Raises ShotError where it is no linear space."""
     if plain(settings.working) == plain(REC709) and settings.config is None:
@@ -179,10 +183,12 @@ def working_space(settings: ColourSettings = DEFAULT) -> str:
             studio = _loaded("", (0, 0))
             found, config = _in_config(settings.working, studio), studio
         if found is None:
+            if formula_named(settings.working) not in (None, "linear"):
+                raise _not_linear(settings.working)
             linear = [n for n in config.getColorSpaceNames() if _is_linear(config, n)]
             raise ShotError(f"working space {settings.working!r} is unknown in {_place(settings)}{hint(settings.working, linear, place='it')}")
     if config.getColorSpace(found).isData() or not _is_linear(config, found):
-        raise ShotError(f"working space {settings.working!r} is not scene-linear; use 'linear Rec.709', 'ACEScg' or another linear space")
+        raise _not_linear(settings.working)
     return REC709 if found == ALIASES[REC709][0] else found
 
 

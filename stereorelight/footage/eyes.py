@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from stereorelight.errors import PlateError, ShotError, nearest_hint
-from stereorelight.footage.clip import PACKED, Clip, is_movie, open_clip
+from stereorelight.footage.clip import PACKED, Clip, checked_layout, is_movie, open_clip
 from stereorelight.footage.exr import read_exr, read_header
 from stereorelight.footage.sequence import Sequence, common_frames, frame_range, frames_text
 
@@ -211,6 +211,7 @@ def open_eyes(
     settings          : first_frame, matrix, levels for movies.
     Raises            : PlateError for what is missing or differs between the eyes; ShotError for an unknown layout or sync.
     """
+    checked_layout(layout)
     if sync not in SYNCS:
         raise ShotError(f"sync {sync!r} is unknown{nearest_hint(sync, SYNCS)}")
     spaces = {"left": colour_space, "right": right_colour_space or colour_space}

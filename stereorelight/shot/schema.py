@@ -171,6 +171,9 @@ def _field_at(model: type[BaseModel], loc: tuple[str | int, ...]) -> tuple[type[
     """The innermost table that `loc` lies in, and the annotation of the key it names (None where unknown)."""
     here, annotation = model, None
     for part in loc:
+        if isinstance(part, int) and typing.get_origin(annotation) is list:
+            annotation = typing.get_args(annotation)[0]
+            continue
         field = here.model_fields.get(str(part))
         annotation = field.annotation if field else None
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):

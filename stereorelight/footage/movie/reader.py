@@ -11,7 +11,8 @@ Colour tags come from the first frame, else the stream.  Untagged: matrix Rec.70
 video range, but full range for RGB and for formats that say so.  Interlaced movies are read as woven frames and say so in their info.
 
 A decoder hides damage by painting old pixels.  Here the first sign of damage has the group of frames decoded again packet by packet:
-what comes before the damage is kept, and each frame from it to the next key frame is refused by name."""
+what comes before the damage is kept, and each frame from it to the next key frame is refused by name.
+FFV1's checksums, which the decoder does not mind, are looked at first (checksums.py)."""
 
 from __future__ import annotations
 
@@ -26,6 +27,7 @@ import numpy as np
 
 from stereorelight.arrays import Float32
 from stereorelight.errors import PlateError
+from stereorelight.footage.movie.checksums import carries_checksums, is_sound
 from stereorelight.footage.movie.container import chosen_stream, opened, video_streams
 from stereorelight.footage.movie.damage import first_damage, packets_spoilt
 from stereorelight.footage.movie.info import MovieInfo as MovieInfo
@@ -63,11 +65,20 @@ class Movie:
     levels : "auto", "video", "full".
     siting : where 4:2:2 and 4:2:0 chroma lies: "left", "topleft", "center" (see footage/ycbcr.py).
     threads: of the decoder; None for one a core and two ahead.
+    first_frame: what its first frame is called in messages; frames are read from 0 whatever it is.
     Raises : PlateError for everything that can be wrong with a movie.
     It can be sent to another process, where it opens again.  One thread reads at a time; others wait."""
 
     def __init__(
-        self, path: str | Path, *, stream: int = 0, matrix: str = "auto", levels: str = "auto", siting: str = "left", threads: int | None = None
+        self,
+        path: str | Path,
+        *,
+        stream: int = 0,
+        matrix: str = "auto",
+        levels: str = "auto",
+        siting: str = "left",
+        threads: int | None = None,
+        first_frame: int = 0,
     ) -> None:
         if matrix != "auto":
             weights(matrix)
@@ -75,7 +86,7 @@ class Movie:
             raise PlateError(f"levels {levels!r} are unknown; known: auto, video, full")
         self.path, self.stream = Path(path), stream
         self._options = {"matrix": matrix, "levels": levels, "siting": siting}
-        self._threads = threads
+        self._threads, self._first = threads, first_frame
         self._forget()
 
     def _forget(self) -> None:
@@ -88,9 +99,10 @@ class Movie:
         self._next = 0  # the frame that reading on would give
         self._held: tuple[int, Any] | None = None
         self._bad: dict[int, str] = {}  # packet: why its picture cannot be had
+        self._summed = False  # whether packets carry checksums
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"path": self.path, "stream": self.stream, "_options": self._options, "_threads": self._threads}
+        return {"path": self.path, "stream": self.stream, "_options": self._options, "_threads": self._threads, "_first": self._first}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -126,6 +138,9 @@ class Movie:
                     self._place = {int(pts): k for k, pts in enumerate(self._table.pts)}
                     self._find_cut()
                     self._open_stream()
+                    if self._video.codec_context.name == "ffv1":
+                        self._summed = carries_checksums(self._container.demux(self._video))
+                        self._open_stream()
                     self._info = self._described()
                 except BaseException:
                     self.close()
@@ -174,11 +189,11 @@ class Movie:
         first = context if first is None else first
         self._layout = picture_layout(self.path, first, context)
         bad = [frame for frame, packet in enumerate(table.shown) if int(packet) in self._bad]
-        which = f"frame {bad[0]}" if len(bad) == 1 else f"{len(bad)} frames from frame {bad[0]} on" if bad else ""
+        which = f"frame {self._name(bad[0])}" if len(bad) == 1 else f"{len(bad)} frames from frame {self._name(bad[0])} on" if bad else ""
         faults = [f"{which} cannot be read: {self._bad[int(table.shown[bad[0]])]}"] if bad else []
         lost = frames_lost(table, self._container, self._video, rate)
         if lost:
-            faults.append(f"the file is cut short: {lost} {'frames' if lost > 1 else 'frame'} missing after frame {len(table.shown) - 1}")
+            faults.append(f"the file is cut short: {lost} {'frames' if lost > 1 else 'frame'} missing after frame {self._name(len(table.shown) - 1)}")
         return described(
             self.path,
             self.stream,
@@ -232,10 +247,19 @@ class Movie:
                 break
             if at in self._bad:
                 continue
+            if self._summed and not is_sound(packet):
+                self._mark(at, "its data do not fit their checksum")
+                continue
             for picture in self._video.codec_context.decode(packet):
                 yield picture.pts, picture
         for picture in self._video.codec_context.decode(None):
             yield picture.pts, picture
+
+    def _mark(self, packet: int, why: str) -> None:
+        """Note that a packet is damaged, and with it what leans on it."""
+        key = int(np.flatnonzero(self._table.key[: packet + 1])[-1])
+        for at in packets_spoilt(self._table, packet, key):
+            self._bad.setdefault(at, why)
 
     _now_threads: int | None = None
 
@@ -255,13 +279,25 @@ class Movie:
             self._now_threads = None
             self._open_stream()
 
+    def _name(self, index: int) -> int:
+        """What frame `index` is called in messages."""
+        return index + self._first
+
     def _refused(self, index: int) -> PlateError:
         table = self._table
         good = 0
         while good < len(table.shown) and int(table.shown[good]) not in self._bad:
             good += 1
-        rest = f"frames 0-{good - 1} before it are good" if good else "no frame before it is good"
-        return PlateError(f"{self.path}: frame {index} cannot be read: {self._bad[int(table.shown[index])]}; {rest}; copy or export the movie again")
+        first, last = self._name(0), self._name(good - 1)
+        rest = (
+            "no frame before it is good"
+            if not good
+            else f"frame {first} before it is good"
+            if good == 1
+            else f"frames {first}-{last} before it are good"
+        )
+        why = self._bad[int(table.shown[index])]
+        return PlateError(f"{self.path}: frame {self._name(index)} cannot be read: {why}; {rest}; copy or export the movie again")
 
     def _picture(self, index: int) -> Any:
         """The decoder's picture of frame `index`."""
@@ -291,7 +327,7 @@ class Movie:
             except av.error.FFmpegError:
                 pass
             self._frames = None
-            if not self._damage_up_to(index):
+            if int(table.shown[index]) not in self._bad and not self._damage_up_to(index):
                 # Sound data, yet no picture from this key frame: a later recovery point was taken for one. Begin earlier.
                 if key == 0:
                     self._bad[int(table.shown[index])] = "the decoder gives no picture for it"
@@ -318,16 +354,16 @@ class Movie:
         with self._lock:
             info = self._opened()
             if not 0 <= index < info.frames:
-                raise PlateError(f"{self.path}: has no frame {index}; it has frames 0-{info.frames - 1}{info.fault and f' ({info.fault})'}")
+                there = f"frames {self._name(0)}-{self._name(info.frames - 1)}"
+                raise PlateError(f"{self.path}: has no frame {self._name(index)}; it has {there}{info.fault and f' ({info.fault})'}")
             return self._converted(info, index, transfer, out)
 
     def _converted(self, info: MovieInfo, index: int, transfer: Transfer | None, out: Float32 | None) -> Float32:
         picture = self._picture(index)
         if (picture.width, picture.height) != info.size or picture.format.name != info.pixel_format:
             came = f"{picture.width} x {picture.height} {picture.format.name}"
-            raise PlateError(
-                f"{self.path}: frame {index} is {came}, the first is {info.size[0]} x {info.size[1]} {info.pixel_format}; split the movie there"
-            )
+            first = f"{info.size[0]} x {info.size[1]} {info.pixel_format}"
+            raise PlateError(f"{self.path}: frame {self._name(index)} is {came}, the first is {first}; split the movie there")
         return rgb_from_planes(
             planes_of(picture, self._layout),
             bits=info.bits,

@@ -94,7 +94,9 @@ CODECS: Mapping[str, Codec] = MappingProxyType(
         "prores": Codec(encoder="prores_ks", suffixes=(".mov",), bits=10, subsampling="422", options={"profile": "hq", "vendor": "apl0"}),
         "prores4444": Codec(encoder="prores_ks", suffixes=(".mov",), bits=10, subsampling="444", options={"profile": "4444", "vendor": "apl0"}),
         "dnxhr": Codec(encoder="dnxhd", suffixes=(".mov",), bits=10, subsampling="422", options={"profile": "dnxhr_hqx"}, smallest=(256, 120)),
-        "ffv1": Codec(encoder="ffv1", suffixes=(".mkv",), bits=12, subsampling="444", options={"level": "3", "slices": "4", "slicecrc": "1"}),
+        "ffv1": Codec(
+            encoder="ffv1", suffixes=(".mkv",), bits=12, subsampling="444", options={"level": "3", "g": "1", "slices": "4", "slicecrc": "1"}
+        ),
     }
 )
 
@@ -190,7 +192,10 @@ class MovieWriter:
     def __enter__(self) -> MovieWriter:
         refuse_overwrite(self.path, force=self._force)
         part = self.path.with_name(f".{self.path.stem}.{uuid.uuid4().hex[:8]}.part{self.path.suffix}")
-        write_whole(part, lambda temporary: temporary.touch())  # whatever is wrong with the folder is told here, in our words
+        try:
+            write_whole(part, lambda temporary: temporary.touch())  # whatever is wrong with the folder is told here, in our words
+        except OutputError as error:
+            raise OutputError(str(error).replace(os.fspath(part), os.fspath(self.path))) from error
         self._part = part
         try:
             self._open(part)
