@@ -19,7 +19,7 @@ from stereorelight.interchange.kalibr import kalibr_from_rig, rig_from_kalibr
 from stereorelight.interchange.meshroom import meshroom_from_rig, rig_from_meshroom
 from stereorelight.interchange.mrcal import mrcal_from_rig, parse_cameramodel, rig_from_mrcal
 from stereorelight.interchange.opencv import opencv_from_rig, rig_from_opencv, says_rig
-from stereorelight.interchange.rigs import rig_from_dict, write_rig
+from stereorelight.interchange.rigs import is_ours, rig_from_dict, write_rig
 from stereorelight.interchange.ros import rig_from_ros, ros_from_rig
 from stereorelight.interchange.yaml_text import parse_yaml
 
@@ -77,7 +77,7 @@ def _parsed(text: str) -> Any:
 def _told(table: Any) -> tuple[str, str]:
     if isinstance(table, dict):
         keys = {str(k) for k in table}
-        if "R_right_left" in keys or {"left", "right", "version"} <= keys:
+        if is_ours(table):
             return "stereorelight", "keys left, right, R_right_left"
         if keys & {"lensmodel", "lens_model"} and "intrinsics" in keys:
             return "mrcal", "keys lensmodel and intrinsics"
@@ -91,6 +91,14 @@ def _told(table: Any) -> tuple[str, str]:
         if says_rig(table):
             return "opencv", "a camera matrix, or R and T, by OpenCV's names"
     raise RigError(f"holds no rig that is known; wanted one of the dialects {', '.join(DIALECTS)}")
+
+
+def _both_eyes(path: Path) -> tuple[Path, ...]:
+    """The two files that %V or %v in a name stand for, or the one file that it names."""
+    for sign, words in (("%V", ("left", "right")), ("%v", ("l", "r"))):
+        if sign in path.name:
+            return tuple(path.with_name(path.name.replace(sign, word)) for word in words)
+    return (path,)
 
 
 def read_rig_file(path: str | Path) -> RigFile:
@@ -115,13 +123,15 @@ def read_any_rig(
     """The rig that `paths` say in whatever dialect.
 
     paths  : one file, or several that belong together: mrcal and ROS have one an eye, LEFT before RIGHT; OpenCV any split.
+             %V in a name stands for left and right, %v for l and r: two files.
     size   : (width, height) of the pictures, for OpenCV files that do not say it.
     unit_m : metres in one unit of the file (0.001 for millimetres, the board's square for squares); None takes metres, and
              refuses a baseline that no rig has.  Our own files are always in metres.
     told   : called with each file, for a line of words about what it was taken for.
     Raises : RigError naming the file, what is missing or cannot be said, and the remedy.
     """
-    listed = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    given = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    listed = [file for path in given for file in _both_eyes(Path(path))]
     if not listed:
         raise RigError("no rig file given")
     files = [read_rig_file(path) for path in listed]
@@ -138,7 +148,8 @@ def read_any_rig(
     dialect, tables = dialects[0], [file.table for file in files]
     wanted = 2 if dialect in PAIRS else 1
     if dialect != "opencv" and len(tables) != wanted:
-        what = "one file for each eye, LEFT and RIGHT" if wanted == 2 else "one file for both eyes"
+        each = "one file for each eye, LEFT and RIGHT (rig_%V.yaml says rig_left.yaml and rig_right.yaml)"
+        what = each if wanted == 2 else "one file for both eyes"
         raise RigError(f"{names}: {dialect} wants {what}, got {len(tables)}")
     try:
         if dialect == "opencv":

@@ -1,10 +1,11 @@
-"""`rig.json`: the two calibrated eyes as a file, read and written.
+"""`rig.json`: the two calibrated eyes as a file, read and written; `read_rig` takes other packages' files too (rig_files.py).
 
 Format in docs/conventions.md.  Everything that no rig can be is refused with the file, the key and the remedy."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from stereorelight.errors import RigError, nearest_hint
 from stereorelight.files import write_text
 
 VERSION = 1
+FOREIGN_LINE = re.compile(r"^%YAML|^\s*[\w.-]+\s*:(\s|$)", re.MULTILINE)
+FOREIGN_TABLE = re.compile(r"['\"]lens_?model['\"]\s*:")
 RIG_KEYS = ("version", "left", "right", "R_right_left", "t_right_left_m", "mirrored", "quality")
 CAMERA_KEYS = ("size", "K", "model", "distortion")
 
@@ -75,11 +78,31 @@ def rig_to_dict(rig: Rig) -> dict[str, Any]:
     }
 
 
+def is_ours(table: Mapping[str, Any]) -> bool:
+    """Whether a table wants to be one of ours, keys misspelt or missing included."""
+    return "R_right_left" in table or {"left", "right", "version"} <= set(table)
+
+
+def _is_foreign_text(text: str) -> bool:
+    """Whether a text is another package's, not JSON: "key: value" lines, or mrcal's Python table."""
+    head = text.lstrip()[:1]
+    return FOREIGN_TABLE.search(text) is not None if head == "{" else FOREIGN_LINE.search(text) is not None
+
+
 def read_rig(path: str | Path) -> Rig:
-    """The rig in file `path`.  Raises RigError naming the file."""
+    """The rig in file `path`: ours, or another package's, told by what it holds.
+
+    path   : with %V or %v in its name two files, one an eye, as mrcal and ROS have them.
+    Raises : RigError naming the file.
+    """
     path = Path(path)
+    if "%V" in path.name or "%v" in path.name:
+        return _foreign(path)
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8-sig")
+        if _is_foreign_text(text):
+            return _foreign(path)
+        table = json.loads(text)
     except FileNotFoundError:
         raise RigError(f"{path}: rig file missing; give its path by --rig or in the shot file, or write one as calib/README.md shows") from None
     except OSError as error:
@@ -87,13 +110,22 @@ def read_rig(path: str | Path) -> Rig:
     except json.JSONDecodeError as error:
         raise RigError(f"{path}: not valid JSON at line {error.lineno}, column {error.colno}: {error.msg}") from None
     except UnicodeDecodeError:
-        raise RigError(f"{path}: not a text file; a rig file is JSON") from None
+        raise RigError(f"{path}: not a text file; a rig file is JSON, or another package's text") from None
     except (ValueError, RecursionError):  # a number of thousands of digits, brackets thousands deep
         raise RigError(f"{path}: not a rig file; a number or a nesting in it is beyond reading") from None
+    if isinstance(table, dict) and table and not is_ours(table):
+        return _foreign(path)
     try:
         return rig_from_dict(table)
     except RigError as error:
         raise RigError(f"{path}: {error}") from None
+
+
+def _foreign(path: Path) -> Rig:
+    # Imported here, since the dialects need this module; and most rigs are ours.
+    from stereorelight.interchange.rig_files import read_any_rig
+
+    return read_any_rig(path)
 
 
 def write_rig(path: str | Path, rig: Rig, *, force: bool = False) -> Path:
