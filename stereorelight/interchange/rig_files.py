@@ -19,7 +19,7 @@ from stereorelight.interchange.kalibr import kalibr_from_rig, rig_from_kalibr
 from stereorelight.interchange.meshroom import meshroom_from_rig, rig_from_meshroom
 from stereorelight.interchange.mrcal import mrcal_from_rig, parse_cameramodel, rig_from_mrcal
 from stereorelight.interchange.opencv import opencv_from_rig, rig_from_opencv, says_rig
-from stereorelight.interchange.rigs import is_ours, rig_from_dict, write_rig
+from stereorelight.interchange.rigs import files_of, is_ours, rig_from_dict, write_rig
 from stereorelight.interchange.ros import rig_from_ros, ros_from_rig
 from stereorelight.interchange.yaml_text import parse_yaml
 
@@ -93,14 +93,6 @@ def _told(table: Any) -> tuple[str, str]:
     raise RigError(f"holds no rig that is known; wanted one of the dialects {', '.join(DIALECTS)}")
 
 
-def _both_eyes(path: Path) -> tuple[Path, ...]:
-    """The two files that %V or %v in a name stand for, or the one file that it names."""
-    for sign, words in (("%V", ("left", "right")), ("%v", ("l", "r"))):
-        if sign in path.name:
-            return tuple(path.with_name(path.name.replace(sign, word)) for word in words)
-    return (path,)
-
-
 def read_rig_file(path: str | Path) -> RigFile:
     """One file, parsed, and what it is.  Raises RigError naming the file."""
     path = Path(path)
@@ -131,7 +123,7 @@ def read_any_rig(
     Raises : RigError naming the file, what is missing or cannot be said, and the remedy.
     """
     given = [paths] if isinstance(paths, (str, Path)) else list(paths)
-    listed = [file for path in given for file in _both_eyes(Path(path))]
+    listed = [file for path in given for file in files_of(path)]
     if not listed:
         raise RigError("no rig file given")
     files = [read_rig_file(path) for path in listed]

@@ -78,6 +78,15 @@ def rig_to_dict(rig: Rig) -> dict[str, Any]:
     }
 
 
+def files_of(path: str | Path) -> tuple[Path, ...]:
+    """The file that `path` names, or the two, left before right, where its name holds %V (left, right) or %v (l, r)."""
+    path = Path(path)
+    for sign, words in (("%V", ("left", "right")), ("%v", ("l", "r"))):
+        if sign in path.name:
+            return tuple(path.with_name(path.name.replace(sign, word)) for word in words)
+    return (path,)
+
+
 def is_ours(table: Mapping[str, Any]) -> bool:
     """Whether a table wants to be one of ours, keys misspelt or missing included."""
     return "R_right_left" in table or {"left", "right", "version"} <= set(table)
@@ -96,7 +105,7 @@ def read_rig(path: str | Path) -> Rig:
     Raises : RigError naming the file.
     """
     path = Path(path)
-    if "%V" in path.name or "%v" in path.name:
+    if len(files_of(path)) > 1:
         return _foreign(path)
     try:
         text = path.read_text(encoding="utf-8-sig")

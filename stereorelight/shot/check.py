@@ -41,7 +41,7 @@ from stereorelight.health.predict import Prediction, judge_prediction, predict, 
 from stereorelight.health.range import judge_range
 from stereorelight.health.repeats import FrameSignature, Signed, judge_corrupt, judge_drops, judge_repeats, signature
 from stereorelight.health.sync import SyncMeter, judge_sync
-from stereorelight.interchange.rigs import read_rig
+from stereorelight.interchange.rigs import files_of, read_rig
 from stereorelight.shot.check_look import Look, look
 from stereorelight.shot.check_pictures import pictures_of
 from stereorelight.shot.pairs import Pair, eyes_of_shot, pairs_of
@@ -117,7 +117,7 @@ def check_shot(
     """The health of a shot file's plates, with its rig where the file is there.  Raises ShotError, PlateError, RigError."""
     shot = read_shot(path)
     rig = Path(rig_path) if rig_path is not None else shot.resolved(shot.tables.rig.file)
-    rectified = rectification(read_rig(rig)) if rig_path is not None or rig.exists() else None
+    rectified = rectification(read_rig(rig)) if rig_path is not None or any(f.exists() for f in files_of(rig)) else None
     expected = (shot.tables.depth.near_m, shot.tables.depth.far_m)
     eyes = eyes_of_shot(shot, frames)
     return health_of(eyes, rectified, title=shot.name, colour=shot.colour, expected_m=expected, subject_m=subject_m, every=every, on_frame=on_frame)

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from stereorelight.errors import OutputError
 from stereorelight.footage.eyes import Eyes
 from stereorelight.footage.preview import depth_range
-from stereorelight.interchange.rigs import read_rig, rig_to_dict
+from stereorelight.interchange.rigs import files_of, read_rig, rig_to_dict
 from stereorelight.shot.job import FrameJob
 from stereorelight.shot.mend import MendedRectification, Mends
 from stereorelight.shot.pairs import EYES, Pair, eyes_of_shot, pairs_of
@@ -172,7 +172,7 @@ def _head(ready: Prepared, pair: Pair, sources: dict[str, str]) -> dict[str, Any
         "frame": pair.number,
         "inputs": {
             **{eye: {"file": pair.file(eye).as_posix(), "frame": pair.clip(eye)[1], "sha256": sources[eye]} for eye in EYES},
-            "rig": {"file": ready.rig_path.as_posix(), "sha256": file_digest(ready.rig_path)},
+            "rig": {"file": ready.rig_path.as_posix(), "sha256": " ".join(map(file_digest, files_of(ready.rig_path)))},
         },
         "plates": list(ready.eyes.notes),
         "rig_mended": ready.mends.words.get(pair.name),
