@@ -22,7 +22,7 @@ from stereorelight.synth.scenes import scene_named
 from tests.stereo_files import cut
 from tests.test_cli_bad_input import call, refused, snapshot
 
-SIZE, COUNT = (160, 90), 16
+SIZE, COUNT = (160, 90), 12
 
 
 def movie(path: Path, frames: list[np.ndarray], *, rate: Fraction = Fraction(24), timecode: str | None = None) -> Path:
@@ -107,7 +107,7 @@ def damaged(path: Path) -> None:
 def test_a_movie_cut_short(shot: Path, eye: str) -> None:
     """Both eyes would have to be as long: the frames that would do are named, and with them everything runs."""
     cut(shot / f"{eye}.mkv", 0.6)
-    line = refused("run", shot / "shot.toml", words=(f"{eye}.mkv", "--frames 1-"), kind="PlateError")
+    line = refused("run", shot / "shot.toml", words=(f"{eye}.mkv: the file is cut short", "--frames 1-"), kind="PlateError")
     good = line.rpartition("--frames ")[2].split(",")[0].split(" ")[0].rstrip(".")
     assert not (shot / "out").exists()
     result = call("run", shot / "shot.toml", "--frames", good)
@@ -155,7 +155,7 @@ def test_a_check_of_a_damaged_movie_tells_of_it_and_of_the_rest(shot: Path) -> N
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
-        (lambda p: p.unlink(), ("there is no such file",)),
+        (lambda p: p.unlink(), ("there is no such file", ".mkv")),
         (lambda p: p.write_bytes(b""), ("empty",)),
         (lambda p: p.write_text("hello"), ("is no movie that can be read",)),
         (lambda p: cut(p, 0.001), ("movie",)),
@@ -210,6 +210,41 @@ def test_a_movie_in_a_curve_that_must_be_named(shot: Path, eyes: dict[str, np.nd
     refused("run", shot / "shot.toml", words=("right.mkv", "smpte2084", "colour_space"), kind="ShotError")
 
 
+def test_a_recording_that_was_stopped_before_its_index(shot: Path, eyes: dict[str, np.ndarray]) -> None:
+    """A camera writes the index of an .mp4 last: without it nothing can be had, and the line says what is missing."""
+    with av.open(str(movie(shot / "whole.mp4", [eyes["right"]] * 3))) as source, av.open(str(shot / "late.mp4"), "w") as container:
+        video = container.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(source.streams.video[0]):
+            if packet.dts is not None:
+                packet.stream = video
+                container.mux(packet)
+    data = (shot / "late.mp4").read_bytes()
+    (shot / "late.mp4").write_bytes(data[: data.index(b"moov") - 4])
+    told(shot, right='"late.mp4"')
+    all_refuse(shot, words=("late.mp4", "its index (moov) is missing", "stopped before its end", "copy or export it again"))
+
+
+def test_relighting_a_movie_that_is_shorter_than_its_passes(shot: Path) -> None:
+    """What is there can be relit by saying so; a part of the shot is never taken for the whole in silence."""
+    for number in range(1, 5):
+        write_exr(shot / f"passes.{number:04d}.exr", render_passes())
+    (shot / "lights.toml").write_text('[[lights]]\nname = "key"\ntype = "point"\nposition_m = [0.5, 0.5, -0.5]\n')
+    with MovieWriter(shot / "short.mkv", size=SIZE, rate=Fraction(24), codec="ffv1") as made:
+        for _ in range(3):
+            made.write(np.full((SIZE[1], SIZE[0], 3), 0.5, np.float32))
+    asked = ("relight", shot / "short.mkv", shot / "passes.####.exr", "--lights", shot / "lights.toml", "--out", shot / "lit.####.exr")
+    refused(*asked, words=("short.mkv: has frames 1-3", "passes 1-4", "--frames 1-3"), kind="PlateError")
+    assert not list(shot.glob("lit*"))
+    assert call(*asked, "--frames", "1-3").exit_code == 0
+    assert len(list(shot.glob("lit*"))) == 3
+
+
+def render_passes() -> dict[str, np.ndarray]:
+    h, w = SIZE[1], SIZE[0]
+    flat = {"P.X": 0.0, "P.Y": 0.0, "P.Z": -2.0, "N.X": 0.0, "N.Y": 0.0, "N.Z": 1.0}
+    return {name: np.full((h, w), value, np.float32) for name, value in flat.items()}
+
+
 # A missing view, and files that hold one eye
 
 
@@ -246,7 +281,7 @@ def test_a_layout_that_does_not_halve(shot: Path, eyes: dict[str, np.ndarray]) -
 
 def test_frame_counts_that_differ(shot: Path, eyes: dict[str, np.ndarray]) -> None:
     movie(shot / "right.mkv", [eyes["right"]] * 3)
-    all_refuse(shot, words=("right.mkv: holds 3 frames", "left.mkv 16", "--frames 1-3"))
+    all_refuse(shot, words=("right.mkv: holds 3 frames", "left.mkv 12", "--frames 1-3"))
     refused("run", shot / "shot.toml", "--frames", "2-5", words=("right.mkv: has no frame 4", "it has 1-3", "--frames 2-3"), kind="PlateError")
 
 
@@ -273,7 +308,7 @@ def test_time_code_that_is_wanted_and_missing(shot: Path) -> None:
 
 def test_an_eye_that_is_too_late(shot: Path) -> None:
     told(shot, right_late_frames="40")
-    all_refuse(shot, words=("right.mkv: shares no frame with the left eye", "left has 1-16"))
+    all_refuse(shot, words=("right.mkv: shares no frame with the left eye", "left has 1-12"))
 
 
 # Colour
@@ -304,13 +339,19 @@ def test_keys_with_a_slip(shot: Path, key: str, value: str, words: tuple[str, ..
         ('working = "ACESgc"', ("shot.toml:", "ACESgc")),
         ('working = "sRGB"', ("shot.toml:", "sRGB", "linear")),
         ('config = "gone.ocio"', ("gone.ocio", "there is no such file", "config")),
-        ('config = "broken.ocio"', ("broken.ocio", "OpenColorIO cannot read this config")),
+        ('config = "broken.ocio"', ("shot.toml:", "broken.ocio", "OpenColorIO cannot read this config", "line 3", "mend the file")),
+        ('config = "poor.ocio"', ("shot.toml:", "working space 'linear Rec.709' is unknown in ", "poor.ocio", "known: lin")),
+        ('config = "poor.ocio"\nworking = "lin"', ("poor.ocio", "aces_interchange", "colour_space")),
         ('display = "sRBG - Display"', ("shot.toml:", "sRBG")),
         ('dispaly = "x"', ("shot.toml:", "'dispaly'", "'display'")),
     ],
 )
 def test_colour_that_cannot_be(shot: Path, table: str, words: tuple[str, ...]) -> None:
     (shot / "broken.ocio").write_text("ocio_profile_version: 2\ncolorspaces: [broken\n")
+    (shot / "poor.ocio").write_text(
+        "ocio_profile_version: 2\nroles: {default: raw, scene_linear: lin}\ndisplays: {sRGB: [!<View> {name: Raw, colorspace: raw}]}\n"
+        "colorspaces:\n  - !<ColorSpace> {name: raw, isdata: true}\n  - !<ColorSpace> {name: lin}\n"
+    )
     path = shot / "shot.toml"
     path.write_text(path.read_text() + f"[colour]\n{table}\n")
     all_refuse(shot, words=words, kind="ShotError")

@@ -27,7 +27,7 @@ from stereorelight.footage.colour import ColourSettings, encode
 from stereorelight.footage.exr import read_header
 from stereorelight.footage.plates import linear_plate, read_plate
 from stereorelight.footage.sequence import COUNTER, Sequence
-from stereorelight.footage.stills import read_still
+from stereorelight.footage.stills import SUFFIXES, read_still
 
 if TYPE_CHECKING:
     from stereorelight.footage.movie.reader import Movie, MovieInfo
@@ -38,6 +38,7 @@ LAYOUTS: tuple[Layout, ...] = ("auto", "separate", "side-by-side", "side-by-side
 PACKED = LAYOUTS[2:]
 # What a movie's transfer tag means for the plate; a log curve is hardly ever tagged as such, so the user names it.
 SPACE_OF_TRANSFER = {"bt709": "rec709", "smpte170m": "rec709", "bt470bg": "rec709", "iec61966-2-1": "sRGB", "linear": "linear"}
+PICTURE_SUFFIXES = frozenset((".exr", ".dpx", *SUFFIXES))
 OPEN_MOVIES = 4
 # Words that travel from a source into the results; what only its container or its own space concerns does not.
 HEADER_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*")
@@ -64,6 +65,7 @@ class Clip:
     matrix, levels : of a movie, where its own tags are wrong: "bt601", "bt709", "bt2020"; "video", "full".
     rate       : pictures a second, or None where the files do not say.
     start_timecode : of the first picture of a movie.    words : what a movie says of itself, (key, text).
+    fault      : what is known to be damaged in a movie, or "".
     """
 
     pictures: Sequence
@@ -79,6 +81,7 @@ class Clip:
     rate: Fraction | None = None
     start_timecode: str | None = None
     words: tuple[tuple[str, str], ...] = ()
+    fault: str = ""
 
     @property
     def is_movie(self) -> bool:
@@ -104,7 +107,8 @@ class Clip:
     def check_frame(self, frame: int | None) -> None:
         """Raise PlateError where the clip does not hold `frame`."""
         if not self.is_single and frame not in self.frames:
-            raise PlateError(f"{self.pictures.pattern}: has no frame {frame}; it has {self.frames[0]}-{self.frames[-1]}")
+            cut = f" ({self.fault})" if self.fault else ""
+            raise PlateError(f"{self.pictures.pattern}: has no frame {frame}; it has {self.frames[0]}-{self.frames[-1]}{cut}")
 
     def read(self, frame: int | None = None, *, colour: ColourSettings | None = None) -> Float32:
         """The plate of `frame`, scene-linear (H, W, 3) float32 in the working space.
@@ -307,17 +311,17 @@ def open_clip(text: str | Path, *, eye: Eye = "left", layout: str = "separate", 
         with contextlib.suppress(PlateError):  # a damaged picture is told of when it is read, and may not be the only one
             return replace(clip, rate=_told_by_file(str(first), *_stamp(first)).rate)
         return clip
-    info = _info(clip.file(), track)
+    info = _info(clip.file(), track, clip.first_frame)
     numbers = tuple(range(clip.first_frame, clip.first_frame + info.frames))
     words = tuple(info.metadata.items())
     timecode = info.start_timecode or next((v for k, v in words if k.lower() == "timecode"), None)  # Matroska writes its keys in capitals
-    return replace(clip, track=track, frames=numbers, rate=info.rate, start_timecode=timecode, words=words)
+    return replace(clip, track=track, frames=numbers, rate=info.rate, start_timecode=timecode, words=words, fault=info.fault)
 
 
-def _info(path: Path, track: int) -> MovieInfo:
+def _info(path: Path, track: int, first_frame: int) -> MovieInfo:
     from stereorelight.footage.movie.reader import movie_streams
 
-    streams = movie_streams(path)
+    streams = movie_streams(path, first_frame=first_frame)
     if track >= len(streams):
         raise PlateError(f"{path}: has {len(streams)} video track{'s' if len(streams) > 1 else ''}, no track {track}; tracks count from 0")
     return streams[track]

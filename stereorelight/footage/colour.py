@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,7 +88,9 @@ def _loaded(source: str, stamp: tuple[int, int]) -> Any:
     try:
         return ocio.Config.CreateFromBuiltinConfig(STUDIO_CONFIG) if not source else ocio.Config.CreateFromFile(source)
     except (ocio.Exception, ocio.ExceptionMissingFile, RuntimeError) as error:
-        raise ShotError(f"{source or STUDIO_CONFIG}: OpenColorIO cannot read this config: {_one_line(error)}") from None
+        why = re.sub(r"^Error: Loading the OCIO profile .* failed\. |yaml-cpp: error at ", "", _one_line(error)).rstrip(".")
+        remedy = "mend the file, or leave config out for the studio config"
+        raise ShotError(f"{source or STUDIO_CONFIG}: OpenColorIO cannot read this config: {why}; {remedy}") from None
 
 
 def config_source(settings: ColourSettings) -> str:
@@ -207,7 +210,7 @@ def _wrapped(make: Callable[[], Any], what: str, settings: ColourSettings) -> An
     try:
         return make().getOptimizedCPUProcessor(ocio.OPTIMIZATION_LOSSLESS)
     except (ocio.Exception, ocio.ExceptionMissingFile) as error:
-        remedy = "; give the config that role, or a working space of its own" if "aces_interchange" in str(error) else ""
+        remedy = "; give the config that role, or take colour_space and working both from it" if "aces_interchange" in str(error) else ""
         raise ShotError(f"{_place(settings)}: {what} cannot be converted: {_one_line(error).rstrip('.')}{remedy}") from None
 
 

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from stereorelight.errors import PlateError, ShotError, nearest_hint
-from stereorelight.footage.clip import PACKED, Clip, checked_layout, is_movie, open_clip
+from stereorelight.footage.clip import PACKED, PICTURE_SUFFIXES, Clip, checked_layout, is_movie, open_clip
 from stereorelight.footage.exr import read_exr, read_header
 from stereorelight.footage.sequence import Sequence, common_frames, frame_range, frames_text
 
@@ -142,7 +142,8 @@ def _check_alike(left: Clip, right: Clip) -> None:
     if left.is_single != right.is_single:
         single = left if left.is_single else right
         other = "movie" if left.is_movie or right.is_movie else "sequence"
-        raise PlateError(f"{single.file()}: is a single picture, but the other eye is a {other}; give both eyes alike")
+        what = "is a single picture" if single.file().suffix.lower() in PICTURE_SUFFIXES else "is neither a movie nor a picture by its name"
+        raise PlateError(f"{single.file()}: {what}, but the other eye is a {other}; give both eyes alike")
     if left.rate is not None and right.rate is not None and left.rate != right.rate:
         rates = f"runs at {float(right.rate):.6g} frames a second, but {left.pictures.pattern} at {float(left.rate):.6g}"
         raise PlateError(f"{right.pictures.pattern}: {rates}; conform both eyes to one rate first")
@@ -161,7 +162,8 @@ def _paired(left: Clip, right: Clip, shift: int, wanted: str | None, *, cut: boo
         )
     if numbers is None:
         if not cut and left.frames != moved:
-            what = f"holds {len(right.frames)} frames, but {left.pictures.pattern} {len(left.frames)}"
+            held, faults = len(right.frames), "; ".join(f"{clip.pictures.pattern}: {clip.fault}" for clip in (left, right) if clip.fault)
+            what = f"holds {held} frame{'s' * (held > 1)}, but {left.pictures.pattern} {len(left.frames)}{faults and f' ({faults})'}"
             raise PlateError(f"{right.pictures.pattern}: {what}. Give --frames {frames_text(both)}, or restore the missing ones")
         return tuple(both)
     for n in numbers:
@@ -169,8 +171,9 @@ def _paired(left: Clip, right: Clip, shift: int, wanted: str | None, *, cut: boo
             if own not in set(clip.frames):
                 inside = [f for f in numbers if f in set(both)]
                 remedy = f"Give --frames {frames_text(inside)}" if inside else f"Both eyes have {frames_text(both)}"
+                fault = f" ({clip.fault})" if clip.fault else ""
                 beside = f" to go with {n} of the left eye" if own != n else ""
-                raise PlateError(f"{clip.pictures.pattern}: has no frame {own}{beside}; it has {frames_text(clip.frames)}. {remedy}")
+                raise PlateError(f"{clip.pictures.pattern}: has no frame {own}{beside}; it has {frames_text(clip.frames)}{fault}. {remedy}")
     return numbers
 
 
@@ -180,7 +183,12 @@ def plate_frames(plates: Clip, passes: Sequence, wanted: str | None) -> list[int
         return list(common_frames(plates.pictures, passes, wanted)) or [None]
     if passes.is_single:
         raise PlateError(f"{passes.pattern}: is a single file, but the plate is a movie; give the passes by a pattern such as passes.####.exr")
-    numbers = frame_range(wanted) if wanted else tuple(sorted(set(plates.frames) & set(passes.frames)))
+    if not wanted and not set(passes.frames) <= set(plates.frames):
+        both, fault = sorted(set(plates.frames) & set(passes.frames)), f" ({plates.fault})" if plates.fault else ""
+        remedy = f"Give --frames {frames_text(both)}, or restore the movie" if both else "Give passes of this movie"
+        have = f"has frames {frames_text(plates.frames)}{fault}, but the passes {frames_text(passes.frames)}"
+        raise PlateError(f"{plates.pictures.pattern}: {have}. {remedy}")
+    numbers = frame_range(wanted) if wanted else passes.frames
     for n in numbers or (plates.frames[0],):
         plates.check_frame(n)
         if n not in passes.frames:

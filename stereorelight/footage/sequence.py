@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stereorelight.errors import PlateError, ShotError
+from stereorelight.footage.source import not_there
 
 COUNTER = re.compile(r"#+|%(0?)(\d*)d")
 MOST_FRAMES = 1_000_000
@@ -74,7 +75,7 @@ class Sequence:
             raise PlateError(f"{pattern}: a pattern takes one frame counter (#### or %04d), in the file's name")
         if not counters:
             if must_exist and not Path(pattern).is_file():
-                what = "is a folder; give a picture, or a pattern such as name.####.exr" if Path(pattern).is_dir() else "there is no such file"
+                what = "is a folder; give a picture, or a pattern such as name.####.exr" if Path(pattern).is_dir() else not_there(Path(pattern))
                 raise PlateError(f"{pattern}: {what}")
             return cls(pattern=pattern)
         if not must_exist:

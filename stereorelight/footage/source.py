@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import io
 import os
 import re
@@ -16,7 +17,21 @@ from stereorelight.errors import PlateError
 
 # What OpenEXR, OpenCV and libpng, libjpeg and libtiff print of a damaged file; our own error says it once and better.
 NOISE = re.compile(r"\(EXR_ERR_|^Warning: Exception raised reading|^\[ ?(WARN|ERROR):|^libpng |^TIFF|^Corrupt JPEG|^Premature end")
+MOST_NAMED = 3  # files of a folder in a message
 _one_reader = threading.Lock()  # stdout and stderr are the whole process's
+
+
+def not_there(path: Path) -> str:
+    """What to say of a file that is not there: its folder, or what stands there of its kind, the nearest names first."""
+    if not path.parent.is_dir():
+        return f"there is no such file; there is no folder {path.parent} either, check the name"
+    kind = path.suffix.lower()
+    names = [entry.name for entry in path.parent.iterdir() if entry.suffix.lower() == kind and not entry.name.startswith(".")]
+    if not names or not kind:
+        return "there is no such file; check the name"
+    near = difflib.get_close_matches(path.name, names, n=MOST_NAMED, cutoff=0)
+    more = f" and {len(names) - len(near)} more {kind}" if len(names) > len(near) else ""
+    return f"there is no such file; check the name: its folder has {', '.join(near)}{more}"
 
 
 def check_file(path: Path) -> None:
@@ -24,7 +39,7 @@ def check_file(path: Path) -> None:
     if path.is_dir():
         raise PlateError(f"{path}: is a folder; give a picture in it, or a pattern such as {path.name}/name.####.exr")
     if not path.exists():
-        raise PlateError(f"{path}: there is no such file")
+        raise PlateError(f"{path}: {not_there(path)}")
     try:
         with path.open("rb") as file:
             if not file.read(1):

@@ -10,6 +10,8 @@ from typing import Any
 from stereorelight.errors import PlateError
 from stereorelight.footage.source import check_file
 
+MOST_BOXES = 1000  # at the top of a file; there are a handful
+
 
 def opened(path: Path) -> Any:
     """The container.  Raises PlateError where it is no movie."""
@@ -21,8 +23,28 @@ def opened(path: Path) -> Any:
     try:
         return av.open(str(path), "r", metadata_errors="replace")
     except (av.error.FFmpegError, ValueError, OSError, UnicodeError) as error:
+        if _lacks_index(path):
+            cut = "its index (moov) is missing, so the recording or the copy was stopped before its end"
+            raise PlateError(f"{path}: is no movie that can be read: {cut}; copy or export it again") from None
         reason = getattr(error, "strerror", None) or str(error)
         raise PlateError(f"{path}: is no movie that can be read ({reason.lower()}); it may be cut short: copy or export it again") from None
+
+
+def _lacks_index(path: Path) -> bool:
+    """Whether the file is QuickTime or MP4 whose boxes (ISO/IEC 14496-12, 4.2) end before a moov."""
+    with path.open("rb") as file:
+        size = path.stat().st_size
+        kinds: list[bytes] = []
+        at = 0
+        while at + 8 <= size and len(kinds) < MOST_BOXES:
+            file.seek(at)
+            head = file.read(16)
+            length, kind = int.from_bytes(head[:4], "big"), head[4:8]
+            if length == 1:
+                length = int.from_bytes(head[8:16], "big")
+            kinds.append(kind)
+            at = at + length if length >= 8 else size
+    return kinds[:1] == [b"ftyp"] and b"mdat" in kinds and b"moov" not in kinds
 
 
 def video_streams(container: Any) -> list[Any]:

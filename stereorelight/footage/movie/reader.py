@@ -41,8 +41,8 @@ STRICT = {"err_detect": "crccheck+bitstream+buffer+explode"}
 FRAMES_AHEAD = 2  # decoded beyond the cores at work, so that decoding goes on while a picture is converted
 
 
-def movie_streams(path: str | Path) -> tuple[MovieInfo, ...]:
-    """What each video stream of a movie is.  Raises PlateError for a file that is no movie or has no pictures."""
+def movie_streams(path: str | Path, *, first_frame: int = 0) -> tuple[MovieInfo, ...]:
+    """What each video stream of a movie is; `first_frame` as `Movie` takes it.  Raises PlateError for a file that is no movie or has no pictures."""
     path = Path(path)
     container = opened(path)
     try:
@@ -52,7 +52,7 @@ def movie_streams(path: str | Path) -> tuple[MovieInfo, ...]:
         container.close()
     infos = []
     for stream in range(count):
-        with Movie(path, stream=stream) as movie:
+        with Movie(path, stream=stream, first_frame=first_frame) as movie:
             infos.append(movie.info)
     return tuple(infos)
 
