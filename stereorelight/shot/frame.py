@@ -20,6 +20,7 @@ from stereorelight.shot.job import FrameJob
 from stereorelight.shot.mend import MendedRectification, Mends
 from stereorelight.shot.pairs import EYES, Pair, eyes_of_shot, pairs_of
 from stereorelight.shot.receipt import Receipt, code_digest, digest, file_digest, versions
+from stereorelight.shot.repairs import Repairs
 from stereorelight.shot.schema import Shot, read_shot
 from stereorelight.shot.steps import STEPS, Step
 from stereorelight.stereo.rectify import Rectification, rectification
@@ -61,6 +62,18 @@ class Prepared:
         """The rectification of every frame."""
         return MendedRectification(self.rectification, self.mends)
 
+    @functools.cached_property
+    def repairs(self) -> Repairs | None:
+        """What the shot file repairs, for every frame; it keeps what it has carried so far."""
+        if not self.shot.tables.repairs:
+            return None
+
+        def job(pair: Pair) -> FrameJob:
+            return FrameJob(shot=self.shot, rectification=self.rigs.of(pair), pair=pair)
+
+        whole = self.pairs if self.pairs[0].number is None else pairs_of(eyes_of_shot(self.shot))
+        return Repairs(shot=self.shot, whole=whole, plate=lambda pair: job(pair).plate, depth=lambda pair: job(pair).recovered()["Z"])
+
 
 @dataclass(frozen=True, kw_only=True)
 class FrameResult:
@@ -80,7 +93,7 @@ def prepare(path: str | Path, frames: str | None = None) -> Prepared:
     rig_path = shot.resolved(shot.tables.rig.file)
     rig = read_rig(rig_path)
     rig_key = digest(rig_to_dict(rig) | {"quality": None})
-    return Prepared(
+    ready = Prepared(
         shot=shot,
         rig_path=rig_path,
         rectification=rectification(rig),
@@ -89,6 +102,9 @@ def prepare(path: str | Path, frames: str | None = None) -> Prepared:
         rig_key=rig_key,
         range_key=digest(rig_key, shot.tables.depth.model_dump()),
     )
+    if ready.repairs is not None:
+        ready.repairs.check()
+    return ready
 
 
 def _key(step: Step, job: FrameJob, keys: dict[str, str], sources: dict[str, str]) -> str:
@@ -133,11 +149,13 @@ def run_frame(
     noted : the preview range of run.json, {} where none is known; `note` is told when it is measured.
     """
     shot = ready.shot
-    job = FrameJob(shot=shot, rectification=ready.rigs.of(pair), pair=pair)
+    job = FrameJob(shot=shot, rectification=ready.rigs.of(pair), pair=pair, repairs=ready.repairs)
     receipt = Receipt(job.receipt_path, shot.folder)
     sources = {"left": pair.digest("left"), "right": pair.digest("right"), "rig": ready.rig_key}
     if pair.name in ready.mends.values:
         sources["rig"] = digest(ready.rig_key, ready.mends.values[pair.name])
+    if ready.repairs is not None and (painted := ready.repairs.key(pair)) is not None:
+        sources["repairs"] = painted
     receipt.head = _head(ready, pair, sources)
     keys: dict[str, str] = {}
     figures: dict[str, Any] = {}

@@ -15,13 +15,16 @@ from stereorelight import __version__
 from stereorelight.arrays import Float32
 from stereorelight.camera import Camera
 from stereorelight.comp import relight
+from stereorelight.errors import PassError
 from stereorelight.footage.frames import read_frame, write_frame
 from stereorelight.light.shade import light_layers
 from stereorelight.passes import Frame
 from stereorelight.shot.depths import surface_of
 from stereorelight.shot.pairs import Pair, flip_word, read_upright, recover_pair
+from stereorelight.shot.repairs import Repairs
 from stereorelight.shot.schema import Shot
 from stereorelight.stereo.rectify import Rectification
+from stereorelight.stereo.repair import repaired
 
 MATCH_NOISE_PX = 0.05  # what a good disparity is off by; nearer to it, a window need not grow
 
@@ -38,6 +41,7 @@ class FrameJob:
     pair: Pair
     preview_range_m: tuple[float, float] = (1.0, 10.0)
     search_figures: dict[str, Any] = field(default_factory=dict)
+    repairs: Repairs | None = None
 
     def path(self, kind: str, suffix: str = "exr", *, what: str = "") -> Path:
         """NAME[.what][.frame].suffix in the folder of that kind."""
@@ -105,7 +109,19 @@ class FrameJob:
         self.search_figures = {"searched_px": [found.search.low, found.search.high], "vertical_px": _rounded(found.vertical_px)}
         if found.colour is not None:
             self.search_figures["colour_match"] = found.colour.to_dict()
+        if self.repairs is not None:
+            frame = self._repaired(frame, self.repairs)
         self.__dict__["depth"] = frame
+        return frame
+
+    def _repaired(self, frame: Frame, repairs: Repairs) -> Frame:
+        """The frame after the shot file's repairs.  Raises PassError naming the frame."""
+        try:
+            frame, done = repaired(frame, repairs.fixes(self.pair, frame.size_hw))
+        except PassError as error:
+            raise PassError(f"{self.shot.path}: frame {self.pair.name}: {error}") from None
+        if done:
+            self.search_figures["repairs"] = done
         return frame
 
     @cached_property

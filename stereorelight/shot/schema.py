@@ -13,7 +13,7 @@ import typing
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -81,6 +81,18 @@ class SurfaceTable(Table):
     method: Literal["plane", "difference"] = "plane"
 
 
+class RepairTable(Table):
+    name: str = Field(pattern=NAME)
+    kind: Literal["constant", "plane", "pins", "clean_plate"]
+    frame: int | None = None
+    frames: str | None = None
+    matte: str | None = Field(default=None, min_length=1)
+    polygon: list[Annotated[list[float], Field(min_length=2, max_length=2)]] = []
+    distance_m: float | None = Field(default=None, gt=0)
+    pins: list[Annotated[list[float], Field(min_length=3, max_length=3)]] = []
+    depth: str | None = Field(default=None, min_length=1)
+
+
 class RelightTable(Table):
     plate_gain: float = Field(default=1.0, ge=0)
 
@@ -102,6 +114,7 @@ class ShotTables(Table):
     colour: ColourTable = ColourTable()
     rig: RigTable = RigTable()
     depth: DepthTable = DepthTable()
+    repairs: list[RepairTable] = []
     surface: SurfaceTable = SurfaceTable()
     relight: RelightTable = RelightTable()
     lights: list[dict[str, Any]] = []
@@ -173,6 +186,8 @@ def _field_at(model: type[BaseModel], loc: tuple[str | int, ...]) -> tuple[type[
     for part in loc:
         if isinstance(part, int) and typing.get_origin(annotation) is list:
             annotation = typing.get_args(annotation)[0]
+            if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+                here = annotation
             continue
         field = here.model_fields.get(str(part))
         annotation = field.annotation if field else None
