@@ -104,6 +104,19 @@ def test_depth_of_the_right_eye(shot: Path, tmp_path: Path) -> None:
     assert abs(np.nanmedian(frame["Z"]) / np.nanmedian(left) - 1) < 0.05
 
 
+def test_depth_of_both_eyes_is_what_each_alone_gives(shot: Path, tmp_path: Path) -> None:
+    found = answer(*depth(shot, tmp_path / "z.%V.exr", "--eye", "both"))
+    assert [one["eye"] for one in found["frames"]] == ["left", "right"]  # type: ignore[union-attr, index]
+    for eye in ("left", "right"):
+        answer(*depth(shot, tmp_path / f"alone.{eye}.exr", "--eye", eye))
+        both, alone = read_frame(tmp_path / f"z.{eye}.exr"), read_frame(tmp_path / f"alone.{eye}.exr")
+        assert both.eye == eye
+        assert all(np.array_equal(both[name], alone[name], equal_nan=True) for name in alone)
+    refused = call(*depth(shot, tmp_path / "one.exr", "--eye", "both"))
+    assert refused.exit_code == 1
+    assert "give %V for the eye" in refused.stderr
+
+
 def test_passes_of_a_renderers_depth(shot: Path, tmp_path: Path) -> None:
     """A distance along the ray, in centimetres, in a channel of another name, with 1e10 for nothing, gives the true P."""
     truth = read_frame(shot / "truth" / "sphere.exr")

@@ -8,7 +8,6 @@ from typing import Literal
 import click
 
 from stereorelight.cli.common import (
-    eye_option,
     force_option,
     frames_option,
     json_option,
@@ -25,7 +24,13 @@ from stereorelight.cli.common import (
 @click.argument("right", required=False)
 @rig_option
 @out_option
-@eye_option
+@click.option(
+    "--eye",
+    type=click.Choice(["left", "right", "both"]),
+    default="left",
+    show_default=True,
+    help="Whose plate the result lies on; both need %V (left, right) or %v (l, r) in --out.",
+)
 @click.option("--quality", default="standard", show_default=True, help="draft, standard or fine.")
 @click.option("--matcher", default="sgbm", show_default=True, metavar="NAME", help="sgbm, onnx:model.onnx, or a registered name.")
 @click.option("--near", "near_m", type=float, metavar="M", help="Nearest distance to search, metres; found from the plates when left out.")
@@ -40,7 +45,7 @@ def command(
     right: str | None,
     rig_path: Path,
     out: str,
-    eye: Literal["left", "right"],
+    eye: Literal["left", "right", "both"],
     quality: str,
     matcher: str,
     near_m: float | None,
@@ -60,8 +65,10 @@ def command(
     """
     from dataclasses import replace
 
+    from stereorelight.camera import Eye
     from stereorelight.cli.common import outputs_for
     from stereorelight.cli.progress import Bar
+    from stereorelight.errors import ShotError
     from stereorelight.footage.frames import write_frame
     from stereorelight.interchange.rigs import read_rig
     from stereorelight.shot.pairs import flip_word, pairs, read_upright, recover_pair
@@ -74,19 +81,23 @@ def command(
     check_matcher(matcher)
     rectified = rectification(read_rig(rig_path))
     found = pairs(left, right, frames=frames, layout=layout, sync=sync, right_late_frames=right_late_frames, colour_space=colour_space)
-    paths = outputs_for(out, [pair.number for pair in found], force=force)
+    eyes: tuple[Eye, ...] = ("left", "right") if eye == "both" else (eye,)
+    if eye == "both" and "%V" not in out and "%v" not in out:
+        raise ShotError(f"--out {out} is one name for two eyes; give %V for the eye, such as z.%V.exr")
+    paths = {one: outputs_for(out.replace("%V", one).replace("%v", one[0]), [pair.number for pair in found], force=force) for one in eyes}
     results = []
     with Bar("depth", total=len(found)) as bar:
-        for pair, path in zip(found, paths):
+        for index, pair in enumerate(found):
             bar.note(pair.name)
             plates = read_upright(pair, rectified)
-            frame = recover_pair(pair, plates, rectified, settings=settings, eye=eye).frame
-            clip, number = pair.clip(eye)
-            named = replace(frame, number=pair.number, metadata=flip_word(rectified, eye))
-            write_frame(path, named, force=force, timecode=clip.timecode(number), rate=clip.rate)
-            results.append({"frame": pair.number, "file": str(path), **depth_figures(frame)})
+            for one in eyes:
+                frame = recover_pair(pair, plates, rectified, settings=settings, eye=one).frame
+                clip, number = pair.clip(one)
+                named = replace(frame, number=pair.number, metadata=flip_word(rectified, one))
+                write_frame(paths[one][index], named, force=force, timecode=clip.timecode(number), rate=clip.rate)
+                results.append({"frame": pair.number, "eye": one, "file": str(paths[one][index]), **depth_figures(frame)})
             bar.note(pair.name, advance=1)
     first = results[0]
-    where = first["file"] if len(results) == 1 else f"{len(results)} frames, first {first['file']}"
+    where = first["file"] if len(results) == 1 else f"{len(results)} files, first {first['file']}"
     middle = f", median {first['median_m']:g} m" if "median_m" in first else ""
     report({"frames": results}, f"depth: cover {first['cover_percent']:g} %{middle} -> {where}", as_json=as_json)
