@@ -14,7 +14,7 @@ from stereorelight import __version__
 from stereorelight.errors import OutputError, StereoRelightError
 
 # In the order in which the work flows; the name is the module's, too.
-COMMANDS = ("demo", "synth", "board", "calibrate", "check", "rectify", "depth", "passes", "relight", "run", "compare")
+COMMANDS = ("demo", "synth", "board", "calibrate", "check", "rectify", "depth", "passes", "relight", "run", "compare", "export")
 STOPPED = 130  # what a shell reports for a program ended by Ctrl-C
 
 

@@ -154,7 +154,7 @@ class RigDifference:
             row(f"disparity at {pair.distance_m:g} m", pair.disparity_px, "px")
             row(f"depth at {pair.distance_m:g} m", pair.depth_mm, "mm")
         a, b = self.baseline_mm
-        baseline = f"baseline {a:.3f} mm against {b:.3f} mm ({a - b:+.3f}), leaning {self.lean_deg:.4f} degrees"
+        baseline = f"baseline {a:.3f} mm against {b:.3f} mm ({round(a - b, 6) + 0.0:+.3f}), leaning {self.lean_deg:.4f} degrees"
         lines.append(f"pose: right eye turned {self.turn_deg:.4f} degrees, {baseline}")
         return "\n".join([*lines, *self.words])
 

@@ -174,7 +174,7 @@ def write_rig_as(path: str | Path, rig: Rig, dialect: str, *, flipped_back: bool
     if rig.mirrored is not None and not flipped_back:
         raise RigError(
             f"{dialect} cannot say that the {rig.mirrored} eye is mirrored; flip its plates back left-right for the other package, "
-            "and say so (flipped_back)"
+            "and say so (--flipped-back)"
         )
     texts: tuple[str, ...]
     targets: tuple[Path, ...]

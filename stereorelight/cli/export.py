@@ -1,0 +1,90 @@
+"""`stereorelight export`: a rig in another package's words, or as ST-maps; and foreign rigs in ours."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from stereorelight.cli.common import FILE, force_option, json_option, report, say
+
+if TYPE_CHECKING:
+    from stereorelight.camera import Rig
+
+TARGETS = ("stereorelight", "opencv", "kalibr", "mrcal", "ros", "meshroom", "stmap")
+
+
+@click.command("export")
+@click.argument("source", nargs=-1, required=True, type=FILE, metavar="RIG... | SHOT.toml")
+@click.option(
+    "--to", "target", required=True, type=click.Choice(TARGETS), help="The package; stereorelight: our own rig.json; stmap: EXR maps for Nuke."
+)
+@click.option("--out", "path", required=True, type=FILE, metavar="FILE", help="mrcal, ros and stmap write NAME_left and NAME_right for NAME.")
+@click.option("--size", metavar="WxH", help="Size of the pictures, where the source does not say it (OpenCV).")
+@click.option(
+    "--unit", "unit_m", type=click.FloatRange(min=0, min_open=True), metavar="M", help="Metres in one unit of the source: 0.001 for millimetres."
+)
+@click.option("--flipped-back", is_flag=True, help="The mirrored eye's plates will be flipped back before the other package sees them.")
+@click.option("--overscan", type=float, metavar="SHARE", help="stmap: add so much of the plate on each side; what holds every pixel when left out.")
+@click.option("--rectify", is_flag=True, help="stmap: also maps to the rectified pair and back.")
+@force_option
+@json_option
+def command(
+    source: tuple[Path, ...],
+    target: str,
+    path: Path,
+    size: str | None,
+    unit_m: float | None,
+    flipped_back: bool,
+    overscan: float | None,
+    rectify: bool,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """The rig of RIG or of a shot, for other software.
+
+    RIG is a file of ours, OpenCV, Kalibr, mrcal, ROS or Meshroom, told by what it holds; two files, LEFT and RIGHT, where
+    there is one an eye.  What the other package cannot say is refused.
+    """
+    if target != "stmap" and (overscan is not None or rectify):
+        raise click.UsageError("--overscan and --rectify belong to --to stmap")
+    rig = _rig(source, _size(size), unit_m, as_json=as_json)
+    values: dict[str, Any] = {"to": target}
+    if target == "stmap":
+        from stereorelight.shot.stmaps import write_stmaps
+
+        maps = write_stmaps(path, rig, overscan=overscan, rectify=rectify, force=force)
+        values["files"] = [m.to_dict() for m in maps]
+        margin = next(m.margin for m in maps if m.margin is not None)
+        words = f", {len(maps)} maps; the left canvas is {maps[0].gives[0]}x{maps[0].gives[1]}, {margin[0]} and {margin[1]} px about the plate"
+        if rig.mirrored:
+            words += f"; for the {rig.mirrored} eye's plates flipped back left-right"
+        written = maps[0].path
+    else:
+        from stereorelight.interchange.rig_files import write_rig_as
+
+        files = write_rig_as(path, rig, target, flipped_back=flipped_back, force=force)
+        values["files"] = [str(f) for f in files]
+        words, written = (f" and {files[1].name}" if len(files) > 1 else ""), files[0]
+    report(values, f"export: {target} -> {written}{words}", as_json=as_json)
+
+
+def _rig(source: tuple[Path, ...], size: tuple[int, int] | None, unit_m: float | None, *, as_json: bool) -> Rig:
+    from stereorelight.interchange.rig_files import read_any_rig
+
+    if len(source) == 1 and source[0].suffix.lower() == ".toml":
+        from stereorelight.shot.schema import read_shot
+
+        shot = read_shot(source[0])
+        source = (shot.resolved(shot.tables.rig.file),)
+    return read_any_rig(source, size=size, unit_m=unit_m, told=lambda f: say(f"{f.path}: {f.dialect} ({f.evidence})", as_json=as_json))
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    if not (m := re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text.strip())):
+        raise click.UsageError(f"--size must be such as 1920x1080, got {text!r}")
+    return int(m[1]), int(m[2])
