@@ -46,8 +46,10 @@ def test_float_channels_return_bit_for_bit(tmp_path: Path, data: st.DataObject) 
 
 
 @ONE_FILE
-@given(array=hnp.arrays(np.float16, (7, 5), elements=st.floats(width=16, allow_nan=False)))
-def test_half_values_are_exact(tmp_path: Path, array: np.ndarray) -> None:
+@given(patterns=hnp.arrays(np.uint16, (7, 5)))
+def test_half_values_are_exact(tmp_path: Path, patterns: np.ndarray) -> None:
+    array = patterns.view(np.float16)
+    array = np.where(np.isnan(array), np.float16(0), array)
     write_exr(tmp_path / "a.exr", {"R": array.astype(np.float32)}, half=["R"], force=True)
     (part,) = read_exr(tmp_path / "a.exr")
     assert np.array_equal(bits(part.channels["R"].astype(np.float16)), bits(array))

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from stereorelight.arrays import Float32, UInt8
@@ -24,7 +23,7 @@ from stereorelight.footage.stills import read_still
 from stereorelight.shot.pairs import Pair
 from stereorelight.shot.receipt import digest, file_digest
 from stereorelight.shot.schema import RepairTable, Shot
-from stereorelight.stereo.carry import Carried, carried_matte, carry, flow_picture, nothing_carried, white_of
+from stereorelight.stereo.carry import Carried, carried_matte, carry, flow_picture, nothing_carried, polygon_matte, white_of
 from stereorelight.stereo.repair import Fix, Pin, pin_shifts
 
 Plate = Callable[[Pair], Float32]
@@ -149,10 +148,7 @@ class Repairs:
 
     def _matte(self, table: RepairTable, number: int | None, size_hw: tuple[int, int]) -> Float32 | None:
         if table.polygon:
-            mask: UInt8 = np.zeros(size_hw, np.uint8)
-            # Sixteenths of a pixel; a corner at (0, 0) is the centre of the first pixel, as everywhere.
-            cv2.fillPoly(mask, [np.rint(np.array(table.polygon) * 16).astype(np.int32)], 1, shift=4)
-            return mask.astype(np.float32)
+            return polygon_matte(table.polygon, size_hw)
         if table.matte is None:
             return None
         file = self._files(table, number)[0]

@@ -5,6 +5,7 @@ paint lies.  Places are composed and the paint is looked up once, so that it sta
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -87,6 +88,13 @@ def carry(before: Carried, then: UInt8, now: UInt8) -> Carried | None:
         moved = _look_up(there, np.ascontiguousarray(points[None]))[0]
         points = (points + moved).astype(np.float32)
     return Carried(places=places, points=points)
+
+
+def polygon_matte(corners: Sequence[Sequence[float]], size_hw: tuple[int, int]) -> Float32:
+    """(H, W) 0 or 1 from corners (x, y) in pixels; (0, 0) is the centre of the first pixel, as everywhere."""
+    mask: UInt8 = np.zeros(size_hw, np.uint8)
+    cv2.fillPoly(mask, [np.rint(np.array(corners) * 16).astype(np.int32)], 1, shift=4)  # in sixteenths of a pixel
+    return mask.astype(np.float32)
 
 
 def carried_matte(matte: Float32, carried: Carried, now: UInt8) -> Float32:
