@@ -14,8 +14,10 @@ import pytest
 
 from stereorelight.calibration import views
 from stereorelight.calibration.board import Board, parse_board
-from stereorelight.calibration.corners import Detection, detect, second_board, turned, turns, what_else
+from stereorelight.calibration.board_wrong import second_board, what_else
+from stereorelight.calibration.corners import Detection, detect, turned, turns
 from stereorelight.calibration.refine_corners import refine_corners
+from stereorelight.calibration.timing import movement_px, time_offset
 from stereorelight.camera import Camera
 from stereorelight.errors import PlateError
 from tests.boards import board_pose, render_board, seen, true_corners
@@ -274,8 +276,8 @@ def test_a_late_eye_is_recognised(late: int) -> None:
     ]
     left, right = both_eyes(path)
     moved = {f + late: d for f, d in right.items()}
-    assert views.time_offset(left, moved)[0] == late
-    assert np.nanmax(list(views.movement_px(left).values())) > 5
+    assert time_offset(left, moved)[0] == late
+    assert np.nanmax(list(movement_px(left).values())) > 5
 
 
 def test_the_best_views_are_sharp_and_spread() -> None:

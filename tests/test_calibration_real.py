@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stereorelight.calibration.answer import Calibration
 from stereorelight.calibration.board import parse_board
 from stereorelight.calibration.corners import detect
 from stereorelight.calibration.lens_choice import Choice, choose
 from stereorelight.calibration.sightings import StereoViews
-from stereorelight.calibration.solve import Calibration
 from stereorelight.calibration.validate import Quality, validate
 
 cv2 = pytest.importorskip("cv2")

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from stereorelight.arrays import Float64
+from stereorelight.calibration.answer import Calibration, Known, focal_from_lens
 from stereorelight.calibration.bundle import fit, moved
 from stereorelight.calibration.lens_choice import choose, eye_candidates, simplest
 from stereorelight.calibration.projection import LENSES, camera_of, intrinsics_of, lens_of, project
 from stereorelight.calibration.sightings import Corners, StereoViews, flipped_back
-from stereorelight.calibration.solve import Calibration, Known, focal_from_lens, solve_rig
+from stereorelight.calibration.solve import solve_rig
 from stereorelight.calibration.uncertainty import answer_at, coverage, depth_rows, depth_sigma_mm, frame_grid, projection_sigma, standard_errors
 from stereorelight.calibration.validate import corners_in_space, rectifying, validate, with_quality
 from stereorelight.camera import Camera, Rig

@@ -14,10 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereorelight.arrays import Bool, Float64
+from stereorelight.calibration.answer import EYES, NOTHING_KNOWN, Calibration, Known
 from stereorelight.calibration.bundle import Fit, fit
+from stereorelight.calibration.outliers import BAD_CORNER, boards_placed, robust_sigma
 from stereorelight.calibration.projection import camera_of, checked_lens
 from stereorelight.calibration.sightings import StereoViews
-from stereorelight.calibration.solve import BAD_CORNER, EYES, NOTHING_KNOWN, Calibration, Known, boards_placed, robust_sigma, solve_eye, solve_rig
+from stereorelight.calibration.solve import solve_eye, solve_rig
 from stereorelight.camera import Eye
 from stereorelight.errors import RigError
 

@@ -6,139 +6,26 @@ Nothing is dropped silently: what does not fit is marked with the reason, and th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from stereorelight.arrays import Bool, Float64
 from stereorelight.calibration import start
-from stereorelight.calibration.bundle import Fit, Problem, State, board_points, fit, shared_names, shared_slices, view_information
+from stereorelight.calibration.answer import EYES, NOTHING_KNOWN, Calibration, Known, Outlier, rms
+from stereorelight.calibration.bundle import Fit, Problem, State, board_points, fit, shared_names, shared_slices
+from stereorelight.calibration.covariance import LEAST_SIGMA, covariance_of, settled
+from stereorelight.calibration.outliers import CAUCHY, boards_placed, marked, robust_sigma
 from stereorelight.calibration.projection import camera_of, checked_lens, intrinsics_of, lens_of
 from stereorelight.calibration.sightings import StereoViews
 from stereorelight.camera import Camera, Eye, Rig
 from stereorelight.errors import RigError
 
 FEWEST_PAIRS = 3  # views with the board in both eyes, below which nothing is solved
-EYES: tuple[Eye, Eye] = ("left", "right")
-RAYLEIGH_MEDIAN = 1.1774  # median length of a 2-D error with unit sigma along each axis
-CAUCHY = 3.0  # sigmas at which a corner's pull is halved, while it is not yet known which corners are bad
-BAD_CORNER = 5.0  # sigmas; of a million good corners four are farther off
-BAD_VIEW = 5.0  # times the usual median error
-BAD_VIEW_PX = 0.5  # and by no less than this: a board held in the hand flexes by less, and such views are kept
-BAD_SHARE = 0.4  # of a view's corners: with more of them twice as far off as a bad corner the view is bad
 NO_RIG = 0.004  # of the frame's width: corners that are farther off than that are of no board that was given
 STRAY_START = 0.02  # of the pitch between corners: how far off its plan a board may be, to begin with
 LEAST_STRAY = 1e-5
-LEAST_SIGMA = 1e-12  # pixels: corners without any noise
 RATIONAL_SIGMA = 1.0  # share of the radius: by how much each term of a rational lens is expected to bend the frame's corner
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Known:
-    """What is known before the solve; everything is optional.
-
-    baseline_m : (metres, one sigma) measured between the lenses' entrance pupils.
-    focal_px   : (left, right), each (pixels, one sigma) or None; `focal_from_lens` makes one from a lens and a sensor.
-    rig        : the same rig from another day: its lenses are kept as they are and only the pose is solved.
-    """
-
-    baseline_m: tuple[float, float] | None = None
-    focal_px: tuple[tuple[float, float] | None, tuple[float, float] | None] = (None, None)
-    rig: Rig | None = None
-
-    def __post_init__(self) -> None:
-        for name, pair in (("baseline_m", self.baseline_m), ("focal_px", self.focal_px[0]), ("focal_px", self.focal_px[1])):
-            if pair is not None and not (pair[0] > 0 and pair[1] > 0 and np.isfinite(pair).all()):
-                raise RigError(f"{name} must be a value and its sigma, both > 0, got {pair}")
-
-
-NOTHING_KNOWN = Known()
-
-
-def focal_from_lens(focal_mm: float, sensor_width_mm: float, size: tuple[int, int], *, sigma: float = 0.02) -> tuple[float, float]:
-    """Focal length in pixels and its one sigma; printed focal lengths are true to about two per cent at infinity."""
-    if not (focal_mm > 0 and sensor_width_mm > 0):
-        raise RigError(f"focal length and sensor width must be > 0 mm, got {focal_mm:g} and {sensor_width_mm:g}")
-    focal = size[0] * focal_mm / sensor_width_mm
-    return focal, sigma * focal
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outlier:
-    """Corners that the solve left out.  `ids` () means the whole picture of that eye.  `error_px` is their RMS."""
-
-    view: int
-    name: str
-    eye: Eye
-    ids: tuple[int, ...]
-    error_px: float
-    reason: str
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Calibration:
-    """A solved rig and what is known about how good it is.
-
-    rig              : the rig; `quality` is filled in by `validate`.
-    lenses           : names of the lens models, left and right (`projection.LENSES`).
-    fit              : the solution, with the solver's own matrices.
-    residual_px      : (2, V, n, 2) projected minus seen for every corner that was given, also those left out; NaN where unseen.
-    kept             : (2, V, n) which corners the solve used.
-    outliers         : what was left out, and why.
-    rms_px           : length of the error over the kept corners, as OpenCV counts it: sqrt(mean(dx^2 + dy^2)).
-    rms_all_px       : the same over all corners that were given, with the same rig.
-    rms_before_px    : over all corners, for the plain solve in which every corner counts.
-    view_rms_px      : (2, V) of all corners; view_rms_before_px the same before anything was left out.
-    sigma_px         : one sigma of a corner along one axis, in pixels at the median corner.
-    view_excess      : by how much the views scatter more than their corners' noise explains; 1 where they do not.
-    covariance       : of the rig's unknowns `names`, scaled by both; 0 for what was held fixed.
-    board_m          : (n, 3) the corners as the board has them; its plan where the board was taken as true.
-    """
-
-    rig: Rig
-    lenses: tuple[str, str]
-    views: StereoViews
-    known: Known
-    fit: Fit
-    residual_px: Float64
-    kept: Bool
-    outliers: tuple[Outlier, ...]
-    rms_px: float
-    rms_all_px: float
-    rms_before_px: float
-    view_rms_px: Float64
-    view_rms_before_px: Float64
-    sigma_px: float
-    view_excess: float
-    covariance: Float64
-    board_m: Float64
-    names: tuple[str, ...]
-
-    @property
-    def board_poses(self) -> Float64:
-        """(V, 4, 4) left camera from board, metres."""
-        out = np.tile(np.eye(4), (len(self.views), 1, 1))
-        out[:, :3, :3], out[:, :3, 3] = self.fit.state.R, self.fit.state.t_m
-        return out
-
-    @property
-    def paired(self) -> Bool:
-        """(V,) views of which both eyes' pictures were used."""
-        return (self.kept.sum(axis=2) >= start.FEWEST_CORNERS).all(axis=0)
-
-
-def rms(residual_px: Float64, used: Bool | None = None) -> float:
-    """sqrt(mean(dx^2 + dy^2)) over the corners that are known and `used`; NaN where there are none."""
-    squared = (residual_px**2).sum(axis=-1)
-    known = np.isfinite(squared) if used is None else np.isfinite(squared) & used
-    return float(np.sqrt(squared[known].mean())) if known.any() else float("nan")
-
-
-def robust_sigma(fit: Fit) -> float:
-    """One sigma of a weighted residual along one axis, from the median, so that bad corners do not count."""
-    length = np.linalg.norm(fit.residual_px, axis=-1) * fit.problem.weight
-    known = fit.problem.seen
-    return float(np.median(length[known]) / RAYLEIGH_MEDIAN) if known.any() else 0.0
 
 
 def _robust_fit(problem: Problem, state: State, *, rounds: int = 6) -> tuple[Fit, float]:
@@ -274,64 +161,6 @@ def _joint_start(views: StereoViews, sizes: tuple[tuple[int, int], tuple[int, in
     return State(intrinsics=(intrinsics[0], intrinsics[1]), R_right_left=R_rl, t_right_left_m=t_rl, R=R, t_m=t), np.stack(placed)
 
 
-def boards_placed(problem: Problem, state: State, sigma: float) -> Fit:
-    """The boards' poses with everything else held, robustly: where left-out views stand, and what their errors are."""
-    held = replace(problem, free=np.zeros_like(problem.free), expected_sigma=np.full_like(problem.expected_sigma, np.inf), baseline=None)
-    return fit(held, state, scale=max(CAUCHY * sigma, 1e-9), steps=30)
-
-
-def _marked(problem: Problem, found: Fit, sigma: float, names: tuple[str, ...]) -> tuple[Bool, tuple[Outlier, ...]]:
-    """Which corners to keep (2, V, n), and the others with their reasons, judged against a robust solution."""
-    placed = boards_placed(problem, found.state, sigma)
-    length = np.linalg.norm(placed.residual_px, axis=-1)
-    seen = problem.seen
-    bad = seen & (length * problem.weight > BAD_CORNER * sigma)
-    kept, outliers = seen & ~bad, []
-    for v in range(seen.shape[1]):
-        wrong = [e for e in (0, 1) if seen[e, v].any() and _whole_view_bad(length[e, v], problem.weight[e, v], seen[e, v], sigma)]
-        reason = ""
-        if wrong and seen[:, v].any(axis=1).all():
-            wrong, reason = _whose_fault(problem, placed.state, sigma, v)
-        for e in (0, 1):
-            if not seen[e, v].any():
-                continue
-            if e in wrong:
-                kept[e, v] = False
-                why = reason or "most of its corners do not fit the board"
-                outliers.append(Outlier(view=v, name=names[v], eye=EYES[e], ids=(), error_px=_length_rms(length[e, v][seen[e, v]]), reason=why))
-            elif bad[e, v].any():
-                ids = tuple(int(i) for i in np.flatnonzero(bad[e, v]))
-                why = f"farther than {BAD_CORNER:g} sigma from where the board has them"
-                outliers.append(Outlier(view=v, name=names[v], eye=EYES[e], ids=ids, error_px=_length_rms(length[e, v][bad[e, v]]), reason=why))
-    return kept, tuple(outliers)
-
-
-def _length_rms(length: Float64) -> float:
-    return float(np.sqrt((length**2).mean()))
-
-
-def _whole_view_bad(length: Float64, weight: Float64, seen: Bool, sigma: float) -> bool:
-    off = (length * weight)[seen]
-    gross = (off > 2 * BAD_CORNER * sigma).mean() > BAD_SHARE or np.median(off) > BAD_VIEW * RAYLEIGH_MEDIAN * sigma
-    return bool(gross and np.median(length[seen]) > BAD_VIEW_PX)
-
-
-def _whose_fault(problem: Problem, state: State, sigma: float, v: int) -> tuple[list[int], str]:
-    """Each eye's picture of view v against the board on its own: which eyes to leave out, and why."""
-    alone = []
-    for e in (0, 1):
-        weight = np.zeros_like(problem.weight)
-        weight[e, v] = problem.weight[e, v]
-        own = boards_placed(replace(problem, weight=weight), state, sigma)
-        length = np.linalg.norm(own.residual_px[e, v], axis=-1)
-        alone.append(_whole_view_bad(length, weight[e, v], own.problem.seen[e, v], sigma))
-    if alone[0] != alone[1]:
-        return [alone.index(True)], f"the {EYES[alone.index(True)]} eye's corners do not fit the board, the other eye's do"
-    if alone[0]:
-        return [0, 1], "neither eye's corners fit the board"
-    return [0, 1], "each eye's corners fit the board, but not together: the board or the rig moved, or the eyes are not of the same moment"
-
-
 def solve_rig(
     views: StereoViews,
     sizes: tuple[tuple[int, int], tuple[int, int]],
@@ -367,16 +196,16 @@ def solve_rig(
         raise RigError(
             f"no rig fits the corners: they are typically {typical:.0f} px off; are these views of one board, of the spec given, by the same rig?"
         )
-    kept, outliers = _marked(problem, robust, sigma, tuple(views.names))
+    kept, outliers = marked(problem, robust, sigma, tuple(views.names))
     trimmed = fit(replace(problem, weight=np.where(kept, problem.weight, 0.0)), robust.state)
-    kept, outliers = _marked(problem, trimmed, robust_sigma(trimmed), tuple(views.names))  # once more, by the better rig
+    kept, outliers = marked(problem, trimmed, robust_sigma(trimmed), tuple(views.names))  # once more, by the better rig
     pairs = int((kept.sum(axis=2) >= start.FEWEST_CORNERS).all(axis=0).sum())
     if pairs < (1 if known.rig is not None else FEWEST_PAIRS):
         raise RigError(
             f"only {pairs} of {len(views)} views fit one rig; are the eyes of the same moments, is the board flat, and is its spec right? "
             f"view {outliers[0].name}: {outliers[0].reason}"
         )
-    final, sigma, excess = _settled(replace(problem, weight=np.where(kept, problem.weight, 0.0)), trimmed.state)
+    final, sigma, excess = settled(replace(problem, weight=np.where(kept, problem.weight, 0.0)), trimmed.state)
     shown = boards_placed(problem, final.state, robust_sigma(trimmed))
     for e, eye in enumerate(EYES):
         for v in map(int, np.flatnonzero(start.usable(views.px[e]) & ~placed[e])):
@@ -410,58 +239,3 @@ def solve_rig(
 
 def _by_view(residual_px: Float64) -> Float64:
     return np.array([[rms(one) for one in eye] for eye in residual_px])
-
-
-def _settled(problem: Problem, state: State) -> tuple[Fit, float, float]:
-    """The plain solution with weights in true sigmas, one sigma of a median corner in pixels, and the views' excess scatter.
-
-    The corners' sigma comes from the residuals and the degrees of freedom.  Errors that a whole view shares (a board that
-    bends, a lens that no model fits) do not show there; they show in how far each view pulls the rig its own way, so the
-    excess of those pulls over what the corners' noise explains widens the answer."""
-    for _ in range(2):  # where there is prior knowledge its weight depends on the corners' sigma, and the other way round
-        found = fit(problem, state)
-        spent = float(np.trace(covariance_of(found) @ found.data_information))
-        freedom = 2 * int(problem.seen.sum()) - spent - 6 * int(problem.seen.any(axis=(0, 2)).sum())
-        weighted = np.where(problem.seen[..., None], found.residual_px * problem.weight[..., None], 0.0)
-        sigma = max(float(np.sqrt((weighted**2).sum() / max(freedom, 1.0))), LEAST_SIGMA)
-        problem, state = replace(problem, weight=problem.weight / sigma), found.state
-    excess = view_excess(fit(problem, state))
-    sigma_px = float(1 / np.median(problem.weight[problem.seen]))
-    return fit(replace(problem, weight=problem.weight / excess), state), sigma_px, excess
-
-
-def view_excess(found: Fit) -> float:
-    """How much more the views' pulls at the rig scatter than their corners' noise says, as a factor on sigma; at least 1.
-
-    Leaving view v out moves the unknowns by d_v = S^-1 g_v, to first order, where S = sum of the views' information S_v and g_v
-    are the slopes at the solution.  E[sum d_v d_v'] = sum(S^-1 S_v S^-1 - S^-1 S_v S^-1 S_v S^-1) for noise of sigma 1 alone."""
-    C = covariance_of(found)
-    rig = np.flatnonzero(found.problem.free[: shared_slices(found.problem.lenses)["rig"].stop])
-    moves = found.slope @ C[:, rig]
-    back = view_information(found) @ C[:, rig]  # (V, shared, rig)
-    expected = C[rig] @ back.sum(axis=0) - np.einsum("vsr,st,vtq->rq", back, C, back, optimize=True)
-    measure = scaled_inverse(C[np.ix_(rig, rig)])
-    plain = float(np.trace(measure @ expected))
-    return max(1.0, float(np.sqrt(np.einsum("vi,ij,vj->", moves, measure, moves) / plain))) if plain > 0 else 1.0
-
-
-def scaled_inverse(A: Float64) -> Float64:
-    """Inverse of a symmetric positive matrix, its unknowns scaled to one size first."""
-    d = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-    scaled = A * d * d[:, None]
-    try:
-        inverse = np.linalg.inv(scaled)
-        if (np.diag(inverse) <= 0).any():
-            raise np.linalg.LinAlgError
-    except np.linalg.LinAlgError:  # some unknowns are tied: their own sum is huge, and is said to be
-        inverse = np.linalg.pinv(scaled + 1e-14 * np.eye(len(A)), rcond=1e-16, hermitian=True)
-    out: Float64 = inverse * d * d[:, None]
-    return out
-
-
-def covariance_of(found: Fit) -> Float64:
-    """(shared, shared) covariance of the shared unknowns; 0 for what was held fixed."""
-    free = found.problem.free
-    out = np.zeros((len(free), len(free)))
-    out[np.ix_(free, free)] = scaled_inverse(found.information[np.ix_(free, free)])
-    return out

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from stereorelight.arrays import Float64, Int32
+from stereorelight.calibration.answer import EYES, Calibration
 from stereorelight.calibration.bundle import POSE, shared_slices
+from stereorelight.calibration.covariance import covariance_of
 from stereorelight.calibration.projection import intrinsics_of, project
-from stereorelight.calibration.solve import EYES, Calibration, covariance_of
 from stereorelight.camera import Eye
 
 GRID = (33, 25)  # columns and rows of the maps

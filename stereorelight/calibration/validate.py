@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float64
+from stereorelight.calibration.answer import EYES, Calibration
 from stereorelight.calibration.bundle import Fit, State, fit
 from stereorelight.calibration.lens_choice import folds_of
 from stereorelight.calibration.projection import camera_of, rotation
-from stereorelight.calibration.solve import EYES, Calibration
 from stereorelight.calibration.uncertainty import GRID, DepthAnswer, answers, coverage, frame_grid, projection_sigma, standard_errors
 from stereorelight.camera import Camera, Rig
 from stereorelight.errors import RigError

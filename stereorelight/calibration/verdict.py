@@ -10,7 +10,7 @@ import numpy as np
 
 from stereorelight.arrays import Float64, Int32
 from stereorelight.calibration import validate as v
-from stereorelight.calibration.solve import EYES, Calibration
+from stereorelight.calibration.answer import EYES, Calibration
 from stereorelight.calibration.uncertainty import standard_errors
 from stereorelight.camera import Eye
 

@@ -22,7 +22,6 @@ NOMINAL_FOCAL = 1.2  # of the picture's long side: tilts come out within a tenth
 NEAR_MIRROR = 0.5  # a reading of the eyes must leave this much less epipolar error than the other to be believed
 LEAST_MIRROR_PX = 0.5  # and the worse one at least this
 FEWEST_TOGETHER = 3
-TIME_GAIN = 0.6  # an offset in time must leave this much less than none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +135,7 @@ def pair_eyes(left: Mapping[int, Detection | None], right: Mapping[int, Detectio
 
     Returns : detections of upright pictures; `mirrored` is "left", "right" or None, and with a plain chessboard "right" also
               stands for "one of the two, which cannot be told".
-    Raises  : PlateError where an eye changes size midway, or no frame has the board in both eyes.
+    Raises  : PlateError where an eye changes size midway, no frame has the board in both eyes, or both eyes see it mirrored.
     """
     a = {f: d for f, d in left.items() if d is not None}
     b = {f: d for f, d in right.items() if d is not None}
@@ -168,7 +167,7 @@ def pair_eyes(left: Mapping[int, Detection | None], right: Mapping[int, Detectio
             )
             b = {f: reflected(d, board) for f, d in b.items()}
     elif all(flags):
-        words.append("both eyes see the board mirrored: the print is mirrored, or both eyes are; print it again without mirroring")
+        raise PlateError("both eyes see the board mirrored: the print is mirrored; print it again without mirroring, or flip both eyes' pictures")
     elif any(flags):
         mirrored = "left" if flags[0] else "right"
         words.append(f"the {mirrored} eye is mirrored; its pictures are flipped back left-right")
@@ -251,34 +250,3 @@ def _sampson(F: Float64, p: Float64, q: Float64) -> Float64:
     along = np.abs(np.sum(np.concatenate([q, np.ones((len(q), 1))], axis=1) * a, axis=1))
     off: Float64 = along / np.sqrt(np.maximum(a[:, 0] ** 2 + a[:, 1] ** 2 + b[:, 0] ** 2 + b[:, 1] ** 2, 1e-30))
     return off
-
-
-def time_offset(left: Mapping[int, Detection], right: Mapping[int, Detection], *, most: int = 8) -> tuple[int, Mapping[int, float]]:
-    """By how many frames the right eye runs late (right frame = left frame + offset), and the epipolar error of each offset in pixels.
-
-    0 where no other offset leaves clearly less, so also for stills and for a board that never moves."""
-    errors: dict[int, float] = {}
-    for offset in range(-most, most + 1):
-        both = [f for f in left if f + offset in right]
-        if len(both) >= max(FEWEST_TOGETHER, 0.5 * min(len(left), len(right))):
-            value = epipolar_px([left[f] for f in both], [right[f + offset] for f in both])
-            if math.isfinite(value):
-                errors[offset] = value
-    if not errors:
-        return 0, errors
-    best = min(errors, key=lambda k: (errors[k], abs(k)))
-    return (best if errors[best] < TIME_GAIN * errors.get(0, math.inf) else 0), errors
-
-
-def movement_px(detections: Mapping[int, Detection]) -> dict[int, float]:
-    """Pixels a frame by which the board moves about each frame (the larger of before and after); NaN where no neighbour saw it."""
-    speed = {}
-    for f, d in detections.items():
-        steps = []
-        for near in (f - 1, f + 1):
-            if near in detections:
-                _, i, j = np.intersect1d(d.ids, detections[near].ids, return_indices=True)
-                if len(i):
-                    steps.append(float(np.linalg.norm(d.px[i] - detections[near].px[j], axis=1).mean()))
-        speed[f] = max(steps) if steps else math.nan
-    return speed

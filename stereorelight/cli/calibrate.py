@@ -52,9 +52,9 @@ def command(
 
     Says what the rig is good for in millimetres and in degrees of normal, and what to shoot again where it is not.
     """
+    from stereorelight.calibration.answer import Known, focal_from_lens
     from stereorelight.calibration.board import parse_board
     from stereorelight.calibration.lens_choice import CANDIDATES
-    from stereorelight.calibration.solve import Known, focal_from_lens
     from stereorelight.calibration.validate import DISTANCES_M
     from stereorelight.cli.progress import Bar
     from stereorelight.files import refuse_overwrite, write_text
@@ -90,7 +90,7 @@ def command(
             lenses=lenses or CANDIDATES,
             distances_m=distances or DISTANCES_M,
             cache=path.with_name(path.stem + ".detections.json"),
-            on_picture=lambda name, done, total: bar.note(name if done < total else "solving", advance=1, total=total),
+            on_picture=lambda name, done, total: bar.note(name, advance=1, total=total),
         )
     write_rig(path, session.rig, force=force)
     values = {"rig": str(path), **session.to_dict()}

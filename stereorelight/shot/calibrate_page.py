@@ -7,6 +7,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Iterable
+from html import escape
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +23,8 @@ from stereorelight.shot.check_pictures import rows_picture
 from stereorelight.shot.pairs import EYES
 from stereorelight.stereo.rectify import rectification
 
-ARROW = 60  # residual arrows are drawn so many times longer than they are
+ARROW_SHARE = 0.012  # of the frame's width: how long the middling residual is drawn
+EYE_PX = 800  # width of an eye in the picture of the rectified pair
 DARK, BRIGHT = (38, 44, 66), (244, 208, 96)
 
 
@@ -43,19 +45,28 @@ def _cells(values: npt.ArrayLike, size: tuple[int, int], top: float) -> str:
     cells = (
         f'<rect x="{c * w:.1f}" y="{r * h:.1f}" width="{w + 0.5:.1f}" height="{h + 0.5:.1f}" fill="{_mixed(v / top)}"></rect>' for r, c, v in known
     )
-    return _svg(*size, cells)
+    return _svg(*size, ('<g shape-rendering="crispEdges">', *cells, "</g>"))
+
+
+def _longer(session: Session) -> int:
+    """How many times longer the arrows are drawn than the errors are: 1, 2 or 5 times a power of ten."""
+    off = np.linalg.norm(session.calibration.residual_px, axis=-1)
+    middling = float(np.median(off[np.isfinite(off)]))
+    wanted = min(max(ARROW_SHARE * session.rig.left.size[0] / max(middling, 1e-6), 1.0), 5000.0)
+    return max(n * 10**k for k in range(4) for n in (1, 2, 5) if n * 10**k <= wanted)
 
 
 def _arrows(session: Session, eye: Eye) -> str:
-    """Every corner's error, from where it was seen, `ARROW` times longer; corners left out are red."""
+    """Every corner's error, from where it was seen (a dot), drawn `_longer`; corners left out are red."""
     e, c = EYES.index(eye), session.calibration
     size = c.rig.camera(eye).size
     px, off, kept = c.views.px[e].reshape(-1, 2), c.residual_px[e].reshape(-1, 2), c.kept[e].ravel()
     seen = np.isfinite(px).all(axis=1) & np.isfinite(off).all(axis=1)
-    stroke = max(size) / 900
+    stroke, longer = max(size) / 500, _longer(session)
     lines = (
-        f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + ARROW * dx:.1f}" y2="{y + ARROW * dy:.1f}" '
+        f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + longer * dx:.1f}" y2="{y + longer * dy:.1f}" '
         f'stroke="{"#7db4e6" if k else "#ee7465"}" stroke-width="{stroke:.2f}"></line>'
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{1.2 * stroke:.2f}" fill="{"#7db4e6" if k else "#ee7465"}"></circle>'
         for (x, y), (dx, dy), k in zip(px[seen].tolist(), off[seen].tolist(), kept[seen].tolist())
     )
     return _svg(*size, lines)
@@ -73,8 +84,9 @@ def _bars(session: Session) -> str:
             if math.isfinite(value):
                 tall = (height - 24) * value / top
                 x = v * step + (0.1 + 0.4 * e) * step
-                parts.append(f'<rect x="{x:.1f}" y="{height - tall:.1f}" width="{0.38 * step:.1f}" height="{tall:.1f}" fill="{colour}"></rect>')
-    parts.append(f'<text x="4" y="14">{top:.3g} px</text>')
+                told = f"<title>{escape(session.names[v])}, {EYES[e]}: {value:.3f} px</title>"
+                parts.append(f'<rect x="{x:.1f}" y="{height - tall:.1f}" width="{0.38 * step:.1f}" height="{tall:.1f}" fill="{colour}">{told}</rect>')
+    parts.append(f'<line x1="0" y1="24" x2="720" y2="24" stroke="#33383e" stroke-width="1"></line><text x="4" y="18">{top:.3g} px</text>')
     return _svg(720, height, parts)
 
 
@@ -97,11 +109,16 @@ def _from_above(session: Session) -> str:
     for b in boards:
         (x1, y1), (x2, y2) = at(b[0, 0], b[2, 0]), at(b[0, 1], b[2, 1])
         parts.append(f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="#6cc08b" stroke-width="2"></line>')
-    for colour, centre, axis in (("#7db4e6", np.zeros(3), np.array([0, 0, 1.0])), ("#e8b64c", right, c.rig.R_right_left.T[:, 2])):
-        (x, y), (u, v) = at(centre[0], centre[2]), at(centre[0] + 0.15 * deep * axis[0], centre[2] + 0.15 * deep * axis[2])
+    for eye, colour, centre, turn in zip(EYES, ("#7db4e6", "#e8b64c"), (np.zeros(3), right), (np.eye(3), c.rig.R_right_left.T)):
+        (w, h), camera = c.rig.camera(eye).size, c.rig.camera(eye)
+        x, y = at(centre[0], centre[2])
         parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{colour}"></circle>')
-        parts.append(f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{u:.1f}" y2="{v:.1f}" stroke="{colour}" stroke-width="2"></line>')
-    parts.append(f'<text x="8" y="16">{deep:.2f} m deep</text>')
+        for edge, stroke, reach in ((0, 1, 1.1), (w - 1, 1, 1.1), (None, 2, 0.15)):  # both edges of the frame, and the axis
+            ray = turn @ (np.array([0, 0, 1.0]) if edge is None else camera.rays(np.array([edge, (h - 1) / 2])))
+            if ray[2] > 0:
+                u, v = at(*(centre + reach * deep * ray / ray[2])[[0, 2]])
+                parts.append(f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{u:.1f}" y2="{v:.1f}" stroke="{colour}" stroke-width="{stroke}"></line>')
+    parts.append(f'<text x="8" y="16">the farthest corner is {deep:.2f} m away, the eyes are {1000 * c.rig.baseline_m:.1f} mm apart</text>')
     return _svg(720, 390, parts)
 
 
@@ -113,10 +130,13 @@ def _drawings(session: Session) -> list[tuple[str, str]]:
         seen = coverage(c, eye).astype(np.float64)
         seen[seen == 0] = np.nan
         made.append(
-            (f"Coverage, {eye}: where corners lay; empty cells are unknown to the lens", _cells(seen, size, max(float(np.nanmax(seen)), 1.0)))
+            (
+                f"Coverage, {eye}: where corners lay, {int(np.nanmax(seen))} in the brightest cell; where none lay nothing was seen of the lens",
+                _cells(seen, size, float(np.nanmax(seen))),
+            )
         )
     for eye in EYES:
-        made.append((f"Errors of the corners, {eye}, {ARROW} times longer; red: left out", _arrows(session, eye)))
+        made.append((f"Errors of the corners, {eye}, {_longer(session)} times longer; red: left out", _arrows(session, eye)))
     for eye in EYES:
         sigma = projection_sigma(c, eye)
         caption = f"Uncertainty of the {eye} eye far away, one sigma: bright is 1 px and more; worst {float(np.nanmax(sigma)):.2f} px"
@@ -126,7 +146,7 @@ def _drawings(session: Session) -> list[tuple[str, str]]:
             caption = f"Odd and even views disagree, {eye}: bright is 1 px and more; worst {float(np.nanmax(off)):.2f} px"
             made.append((caption, _cells(np.abs(off), c.rig.camera(eye).size, 1.0)))
     made.append(("RMS of each view, px: left blue, right yellow", _bars(session)))
-    made.append(("From above: left eye blue, right eye yellow, the boards green", _from_above(session)))
+    made.append(("From above: left eye blue, right eye yellow, each with the edges of its frame; the boards green", _from_above(session)))
     return made
 
 
@@ -165,7 +185,7 @@ def _rectified(session: Session) -> list[tuple[str, str]]:
     for picture, eye in zip(session.example, EYES):
         linear = np.ascontiguousarray(np.square(np.clip(picture, 0, 1)), dtype=np.float32)
         pictures.append(made.rectify(linear, eye))
-    drawn = rows_picture(pictures[0], pictures[1])
+    drawn = rows_picture(pictures[0], pictures[1], width_px=2 * EYE_PX)
     return [("The first view rectified: a corner lies on one line in both eyes", base64.b64encode(png_bytes(drawn)).decode())]
 
 

@@ -21,9 +21,9 @@ LINE = (255, 210, 60)
 LOW, MIDDLE, HIGH, UNKNOWN = (70, 120, 235), (245, 245, 245), (225, 70, 55), (60, 60, 60)
 
 
-def rows_picture(left: Float32, right: Float32) -> UInt8:
+def rows_picture(left: Float32, right: Float32, *, width_px: int = WIDTH_PX) -> UInt8:
     """Both eyes side by side with lines across: the same point must lie on the same line."""
-    eyes = [shrunk(plate_picture(plate), WIDTH_PX // 2) for plate in (left, right)]
+    eyes = [shrunk(plate_picture(plate), width_px // 2) for plate in (left, right)]
     height = min(eye.shape[0] for eye in eyes)
     picture = np.concatenate([eye[:height] for eye in eyes], axis=1)
     for k in range(1, LINES):
