@@ -120,7 +120,7 @@ def _camera(found: Mapping[str, Any], where: str, size: tuple[int, int] | None) 
         w, h = numbers(found["size"], f"{where} size", 2)
     if w is None or h is None:
         if size is None:
-            raise RigError(f"{where}: the file does not say the size of the picture; give it, such as 1920x1080")
+            raise RigError(f"{where}: the file does not say the size of the picture; give it: export --size 1920x1080")
         w, h = size
     c = numbers(found["D"], f"{where} distortion")
     word, flag = _letters(found.get("model", "")), found.get("fisheye")

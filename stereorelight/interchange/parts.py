@@ -127,7 +127,7 @@ def rig_of(left: Camera, right: Camera, R: Any, t: Any, *, unit_m: float | None,
     length = float(np.linalg.norm(t))
     if unit_m is None and length > 0 and not BELIEVED_M[0] <= length <= BELIEVED_M[1]:
         raise RigError(
-            f"the eyes stand {length:g} apart, which cannot be metres; say what one unit of the file is: "
+            f"the eyes stand {length:g} apart, which cannot be metres; say what one unit of the file is, export --unit: "
             "0.001 for millimetres, or the size of the board's square"
         )
     if unit_m is not None and not (math.isfinite(unit_m) and unit_m > 0):
