@@ -120,7 +120,7 @@ def _placed(found: Placed, px: Float64) -> list[tuple[tuple[Float64, Float64], F
     return [(pose, view) for pose, view in zip(found, px) if pose is not None]
 
 
-def _some_views(px: Float64, most: int = 12) -> npt.NDArray[np.intp]:
+def _some_views(px: Float64, most: int = 8) -> npt.NDArray[np.intp]:
     """Indices of up to `most` usable views, evenly spread over the shot."""
     views = np.flatnonzero(usable(px))
     return views[np.unique(np.linspace(0, len(views) - 1, min(most, len(views))).round().astype(int))] if len(views) else views
