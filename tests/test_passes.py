@@ -175,6 +175,7 @@ def test_flags_are_single_bits_that_files_rely_on() -> None:
         "TOO_FAR": 16,
         "TOO_NEAR": 32,
         "BAD_PLATE": 64,
+        "REPAIRED": 128,
     }
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from stereorelight.camera import Camera, RectifiedRig
 from stereorelight.errors import PassError
-from stereorelight.surface.normals import normals_from_depth, normals_from_disparity
+from stereorelight.surface.normals import normals_and_sigma, normals_from_depth, normals_from_disparity
 from stereorelight.surface.position import position_from_depth, scene_from_camera
 
 # float32 Z is off by 3e-8 of itself; over the 2 px of the smallest window at fx 300 that is 3e-8 * 300 / 2 = 5e-6 rad a tap.
@@ -284,3 +284,35 @@ def test_bad_input_is_named() -> None:
         normals_from_depth(0 * Z, camera)
     with pytest.raises(PassError, match="shape"):
         normals_from_depth(Z[1:], camera)
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.01, 0.05])
+def test_sigma_is_the_error_of_the_normals(noise: float) -> None:
+    """A ball before a wall, its inverse depth blurred noise of any strength: sigma says it in all five bins."""
+    camera = Camera.from_fov(40, (240, 180))
+    slopes = camera.ray_grid().astype(np.float64)
+    rays = np.concatenate([slopes, np.ones((180, 240, 1))], axis=-1)
+    centre, radius = np.array([0.0, 0.0, 1.5]), 0.35
+    along, square = rays @ centre, (rays**2).sum(axis=-1)
+    inside = along**2 - square * (centre @ centre - radius**2)
+    ball = inside > 0
+    Z = np.where(ball, (along - np.sqrt(np.maximum(inside, 0))) / square, 3.0)
+    true = np.where(ball[..., None], (rays * Z[..., None] - centre) / radius * (1, -1, -1), (0.0, 0.0, 1.0))
+    grain = np.random.default_rng(11).standard_normal(Z.shape)
+    soft = sum(np.roll(grain, (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)) / 3  # neighbours agree, as in matching
+    N, sigma = normals_and_sigma((1 / (1 / Z + noise * soft / Z.mean())).astype(np.float32), camera)
+    assert sigma is not None
+    assert np.isfinite(sigma[np.isfinite(N[..., 0])]).all()
+    angle = angle_deg(N, true)
+    edges = np.quantile(sigma, np.linspace(0, 1, 6))
+    bins = [(sigma >= low) & (sigma <= high) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    ratios = [float(np.quantile(angle[one], 0.683) / sigma[one].mean()) for one in bins]
+    assert min(ratios) > 0.6, ratios
+    assert max(ratios) < 1.3, ratios
+    assert np.mean(ratios) == pytest.approx(1, abs=0.3), ratios
+    assert sigma[bins[4]].mean() > 2 * sigma[bins[0]].mean(), "or the bins would prove nothing"
+
+
+def test_differences_say_no_sigma() -> None:
+    camera = Camera.from_fov(40, (20, 10))
+    assert normals_and_sigma(np.ones((10, 20), np.float32), camera, method="difference")[1] is None

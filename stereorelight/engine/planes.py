@@ -32,6 +32,7 @@ RISE = 4.0  # times the least disagreement of finer scales: more than chance
 SMOOTH = 4  # least radius over which disagreement is averaged
 ROUNDING = 1e-13  # float32 normals squared: less disagreement than this means nothing
 UNJUDGED = 1e-9  # weight of a scale that no coarser one could judge: the last resort
+UNJUDGED_RISK = 0.5  # its mean-square error, as good as none: 40 degrees
 LAST = 4.0
 
 
@@ -257,8 +258,8 @@ def _risk(delta, count, blamed, r, floor, least, shape, risk):
 
 
 @numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
-def _blend(normals, risk, total):
-    """Add a scale's normals, weighed by one over the risk squared."""
+def _blend(normals, risk, total, weight, expected):
+    """Add a scale's normals, weighed by one over the risk squared, those weights, and the risks so weighed."""
     h, w = risk.shape
     for v in numba.prange(h):
         for i in range(w):
@@ -267,6 +268,8 @@ def _blend(normals, risk, total):
                 total[v, i, 0] += k * normals[v, i, 0]
                 total[v, i, 1] += k * normals[v, i, 1]
                 total[v, i, 2] += k * normals[v, i, 2]
+                weight[v, i] += k
+                expected[v, i] += k * risk[v, i] if risk[v, i] == risk[v, i] else k * np.float64(UNJUDGED_RISK)
 
 
 def _least_count(r: int) -> float:
@@ -284,8 +287,9 @@ def _noise_floor(r: int, noise: float, rays: Float64, inverse: Float64) -> float
     return ROUNDING + float(2 * slope_variance / np.nanmedian(inverse) ** 2)
 
 
-def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple[int, ...], noise: float) -> Float32:
-    """N (H, W, 3) float32, scene frame, facing the camera; NaN where `inverse` is, or where no window can say.
+def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple[int, ...], noise: float) -> tuple[Float32, Float32]:
+    """N (H, W, 3) float32, scene frame, facing the camera, and its expected error (H, W), radians; NaN where `inverse` is, or where no
+    window can say.  The error is the root of the blended scales' risk: how far windows of one size disagree with the next.
 
     inverse : (H, W), 1/Z or anything proportional to it, NaN where unknown.   rays : (H, W, 2) x/z and y/z.
     weight  : (H, W) >= 0.   radii : growing half-widths, two or more.   noise : standard deviation that `inverse` has at least.
@@ -293,14 +297,14 @@ def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple
     h, w = inverse.shape
     known = np.isfinite(inverse) & np.isfinite(rays).all(axis=-1)
     if not known.any():
-        return np.full((h, w, 3), np.nan, dtype=np.float32)
+        return np.full((h, w, 3), np.nan, dtype=np.float32), np.full((h, w), np.nan, dtype=np.float32)
     q = np.where(known & (weight > 0), weight, 0.0)
     x, y = (np.where(known, rays[..., k], 0.0) for k in (0, 1))
     w0 = float(inverse[known].mean())
     centred = np.where(known, inverse / w0 - 1.0, 0.0)  # free of units, and small numbers keep the running sums exact
     a, b, c, res, delta, count, blamed, risk, misfit = (np.empty((h, w)) for _ in range(9))
     least, shape = np.full((h, w), np.inf), np.zeros((h, w))
-    total = np.zeros((h, w, 3))
+    total, blended, expected = np.zeros((h, w, 3)), np.zeros((h, w)), np.zeros((h, w))
     fine: Float32 | None = None
     with KERNEL_LOCK:
         _fit(centred, x, y, q, SPIKE_RADIUS, _least_count(SPIKE_RADIUS), a, b, c, res)
@@ -316,12 +320,14 @@ def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple
                 before = risk.copy()
                 floor = _noise_floor(radii[k - 1], noise, rays, inverse)
                 _risk(delta, count, blamed, max(radii[k - 1], SMOOTH), floor, least, shape, risk)
-                _blend(fine, risk, total)
+                _blend(fine, risk, total, blended, expected)
             fine, misfit = coarse, coarse_misfit
         # Nothing coarser judges the last scale.  Noise falls by 16 from scale to scale; what fell less is shape, and weighs four times more there.
         excess = LAST * np.fmax(risk - before / 12 if len(radii) > 2 else risk, 0)
-        _blend(fine, np.fmax(excess, shape) + risk / 16 + _noise_floor(radii[-1], noise, rays, inverse), total)
+        _blend(fine, np.fmax(excess, shape) + risk / 16 + _noise_floor(radii[-1], noise, rays, inverse), total, blended, expected)
     with np.errstate(invalid="ignore", divide="ignore"):
         total /= np.sqrt((total * total).sum(axis=-1, keepdims=True))
+        error = np.sqrt(expected / blended)
     total[~known] = np.nan
-    return np.ascontiguousarray(total, dtype=np.float32)
+    error[np.isnan(total[..., 2])] = np.nan
+    return np.ascontiguousarray(total, dtype=np.float32), error.astype(np.float32)

@@ -14,7 +14,7 @@ from stereorelight.camera import Camera, Eye
 from stereorelight.errors import PassError, PlateError
 from stereorelight.footage.frames import read_frame
 from stereorelight.passes import Frame
-from stereorelight.surface.normals import Method, normals_from_depth
+from stereorelight.surface.normals import Method, normals_and_sigma
 from stereorelight.surface.position import position_from_depth
 
 FARTHEST_M = 1e5  # renderers write some huge number where there is nothing; no plate sees 100 km
@@ -62,7 +62,7 @@ def read_depth(
 
 
 def surface_of(depth: Frame, *, method: Method = "plane", noise_per_m: float = 0.0) -> Frame:
-    """Z, P and N of a frame that holds Z, and confidence where it is known.  Raises PassError where it has no camera.
+    """Z, P and N of a frame that holds Z, with the standard deviation of N, degrees.  Raises PassError where it has no camera.
 
     noise_per_m : what 1/Z is at least off by, as `normals_from_depth` takes it.
     """
@@ -70,5 +70,6 @@ def surface_of(depth: Frame, *, method: Method = "plane", noise_per_m: float = 0
     if camera is None:
         raise PassError("Z needs the camera that saw it before it can be a position")
     Z, confidence = depth["Z"], depth.passes.get("confidence")
-    N = normals_from_depth(Z, camera, method=method, confidence=confidence, noise_per_m=noise_per_m)
-    return replace(depth, passes={"Z": Z, "P": position_from_depth(Z, camera), "N": N})
+    N, sigma = normals_and_sigma(Z, camera, method=method, confidence=confidence, noise_per_m=noise_per_m)
+    passes = {"Z": Z, "P": position_from_depth(Z, camera), "N": N}
+    return replace(depth, passes=passes if sigma is None else {**passes, "N_sigma": sigma})
