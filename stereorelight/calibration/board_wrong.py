@@ -13,6 +13,8 @@ from stereorelight.calibration.board_search import FEWEST_CORNERS, found_corners
 from stereorelight.calibration.corners import Detection, grey_levels
 from stereorelight.calibration.refine_corners import grid_map
 
+CREDIBLE_SIDE = 4  # corners: grids of three rows are found in mere noise
+
 
 def second_board(picture: npt.ArrayLike, board: Board, first: Detection) -> bool:
     """Whether another such board is in the picture besides `first`."""
@@ -108,9 +110,10 @@ def _grid_seen(image: UInt8) -> tuple[int, int] | None:
     """(columns, rows) of the largest plain grid of corners in sight."""
     import cv2
 
-    # Three by three corners are found in mere noise.
     ok, _, meta = cv2.findChessboardCornersSBWithMeta(image, (4, 3), cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE)
     if not ok or meta is None:
         return None
     rows, columns = meta.shape[:2]
+    if min(rows, columns) < CREDIBLE_SIDE:
+        return None
     return (columns, rows) if columns >= rows else (rows, columns)

@@ -7,7 +7,7 @@ found in each picture is kept beside the rig (NAME.detections.json), so that a s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from stereorelight.calibration.board import Board
 from stereorelight.calibration.corners import Detection
 from stereorelight.calibration.lens_choice import CANDIDATES, Choice, choose
 from stereorelight.calibration.sightings import StereoViews
+from stereorelight.calibration.solve import solve_rig
 from stereorelight.calibration.timing import movement_px, right_late, time_offset, velocity_px
 from stereorelight.calibration.validate import DISTANCES_M, Quality, validate, with_quality
 from stereorelight.calibration.views import Pairs, pair_eyes, pick_views, reflected
@@ -60,7 +61,7 @@ class Session:
         """Plain values for JSON."""
         return {
             "board": self.board.spec,
-            "views": list(self.names),
+            "names": list(self.names),
             "looked_at": self.looked_at,
             "words": list(self.words),
             **(self.rig.quality or {}),
@@ -131,8 +132,10 @@ def calibrate(
     )
     sizes = _size(pairs.left), _size(pairs.right)
     with one_blas_thread():
+        if known.baseline_m is not None and known.rig is None:
+            # First without it: told beside a board of another size it would be fought over by every corner.
+            _check_baseline(solve_rig(used, sizes, (lenses[0], lenses[0]), replace(known, baseline_m=None)), known, board)
         choice, solved = choose(used, sizes, known, candidates=tuple(lenses))
-        _check_baseline(solved, known, board)
         quality = validate(solved, distances_m=distances_m)
     shown = next((v for v in range(len(used)) if solved.paired[v]), 0)
     first = chosen[shown] if not clips[0].is_single else None
@@ -152,14 +155,12 @@ def calibrate(
 
 def _check_baseline(solved: Calibration, known: Known, board: Board) -> None:
     """A board of another size than told makes a rig of another size, and nothing else shows it."""
-    if known.baseline_m is None:
-        return
-    measured, sigma = known.baseline_m
+    measured, sigma = known.baseline_m or (solved.rig.baseline_m, 1.0)
     share = solved.rig.baseline_m / measured
     if abs(share - 1) * measured > BASELINE_SIGMAS * sigma:
         raise RigError(
             f"the eyes come out {1000 * solved.rig.baseline_m:.4g} mm apart, {1000 * measured:.4g} mm were measured: that needs squares of "
-            f"{board.square_m / share:.4g} m, the board is told to have {board.square_m:g}; measure a square of the print, and between the lenses"
+            f"{board.square_m / share:.3g} m, the board is told to have {board.square_m:g}; measure a square of the print, and between the lenses"
         )
 
 

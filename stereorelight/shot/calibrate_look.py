@@ -28,7 +28,7 @@ from stereorelight.threads import usable_cores
 LOOKED_AT = 90  # frames of a movie: a second or so of hand movement lies between two
 CACHE_VERSION = 1
 ASKED_TWICE = 3  # pictures of each eye that are searched for what should not be there
-MARKER_OFF = 0.08  # of the marker's share of its square: blur and bright light move its edges by less
+MARKER_OFF = 0.15  # of the marker's share of its square: blur and bright light make small markers a tenth smaller
 Told = Callable[[str, int, int], object]
 Seen = dict[int | None, Detection | None]
 
