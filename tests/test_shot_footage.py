@@ -151,8 +151,8 @@ def test_the_receipt_names_the_place_in_the_movie(ran: Path) -> None:
 
 def test_another_working_space_changes_the_header_and_not_the_look(ran: Path, filmed: Filmed, tmp_path: Path) -> None:
     """Under a white light everything is linear: in other primaries the same picture."""
-    path = shot_file(tmp_path, filmed, colour={"working": "ACEScg"}, plates={"frames": str(FIRST)}, output={"previews": False})
-    run_shot(path)
+    path = shot_file(tmp_path, filmed, colour={"working": "ACEScg"}, output={"previews": False})
+    run_shot(path, frames=str(FIRST))
     name = f"relit/film.{FIRST}.exr"
     wide = read_exr(tmp_path / "out" / name)[0]
     np.testing.assert_allclose(wide.attributes["chromaticities"][:6], (0.713, 0.293, 0.165, 0.83, 0.128, 0.044), atol=1e-4)

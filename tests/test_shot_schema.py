@@ -71,13 +71,13 @@ def test_every_key_that_the_template_hints_at_is_known(tmp_path: Path) -> None:
         for line in lines
         if line.startswith("# ") and " = " in line.partition("#")[2].split("  #")[0] and "(" not in line and "camera" not in line
     ]
-    assert len(hints) == 10
+    assert len(hints) == 11
     text = "\n".join(line.removeprefix("# ") if line in hints else line for line in lines)
     read = read_shot(shot(tmp_path, text))
     plates = read.tables.plates
     assert (plates.frames, plates.layout, plates.right_late_frames, plates.match_colour) == ("1001-1010", "side-by-side", 0, "global")
     assert (read.tables.rig.drift, read.tables.output.movies) == ("shot", ["relit", "wipe"])
-    assert (read.depth.near_m, read.depth.far_m) == (0.5, 20.0)
+    assert (read.depth.near_m, read.depth.far_m, read.depth.time_window) == (0.5, 20.0, 2)
     assert (read.tables.output.preview_near_m, read.tables.output.preview_far_m) == (1.0, 8.0)
 
 

@@ -18,6 +18,7 @@ from stereorelight.footage.preview import depth_range
 from stereorelight.interchange.rigs import files_of, read_rig, rig_to_dict
 from stereorelight.shot.job import FrameJob
 from stereorelight.shot.mend import MendedRectification, Mends
+from stereorelight.shot.neighbours import Neighbours
 from stereorelight.shot.pairs import EYES, Pair, eyes_of_shot, pairs_of
 from stereorelight.shot.receipt import Receipt, code_digest, digest, file_digest, versions
 from stereorelight.shot.repairs import Repairs
@@ -61,6 +62,12 @@ class Prepared:
     def rigs(self) -> MendedRectification:
         """The rectification of every frame."""
         return MendedRectification(self.rectification, self.mends)
+
+    @functools.cached_property
+    def near(self) -> Neighbours:
+        """The frames about each frame, and what is kept of them."""
+        rig = self.rectification.rig
+        return Neighbours(self.shot, self.eyes, self.rigs.of, rig.left.fx * rig.baseline_m)
 
     @functools.cached_property
     def repairs(self) -> Repairs | None:
@@ -107,7 +114,7 @@ def prepare(path: str | Path, frames: str | None = None) -> Prepared:
     return ready
 
 
-def _key(step: Step, job: FrameJob, keys: dict[str, str], sources: dict[str, str]) -> str:
+def _key(step: Step, job: FrameJob, keys: dict[str, str], sources: dict[str, Any]) -> str:
     """What `step` of this frame depends on, as one hash."""
     upstream = {name: keys[name] for name in step.after}
     inputs = sources if step.sources else {}
@@ -141,6 +148,12 @@ def _do(step: Step, job: FrameJob, receipt: Receipt, key: str, *, force: bool) -
     return seconds
 
 
+def _rig_key(ready: Prepared, pair: Pair) -> str:
+    """Hash of the rig as it stood at this frame."""
+    told = ready.mends.values.get(pair.name)
+    return ready.rig_key if told is None else digest(ready.rig_key, told)
+
+
 def run_frame(
     ready: Prepared, pair: Pair, *, noted: dict[str, Any], note: Note, force: bool = False, on_event: Callable[[Event], None] = lambda event: None
 ) -> FrameResult:
@@ -149,11 +162,11 @@ def run_frame(
     noted : the preview range of run.json, {} where none is known; `note` is told when it is measured.
     """
     shot = ready.shot
-    job = FrameJob(shot=shot, rectification=ready.rigs.of(pair), pair=pair, repairs=ready.repairs)
+    job = FrameJob(shot=shot, rectification=ready.rigs.of(pair), pair=pair, repairs=ready.repairs, near=ready.near)
     receipt = Receipt(job.receipt_path, shot.folder)
-    sources = {"left": pair.digest("left"), "right": pair.digest("right"), "rig": ready.rig_key}
-    if pair.name in ready.mends.values:
-        sources["rig"] = digest(ready.rig_key, ready.mends.values[pair.name])
+    sources: dict[str, Any] = {"left": pair.digest("left"), "right": pair.digest("right"), "rig": _rig_key(ready, pair)}
+    if about := ready.near.inputs_about(pair):
+        sources["near"] = [[k, *digests, _rig_key(ready, other)] for k, (other, digests) in about.items()]
     if ready.repairs is not None and (painted := ready.repairs.key(pair)) is not None:
         sources["repairs"] = painted
     receipt.head = _head(ready, pair, sources)
@@ -184,7 +197,7 @@ def run_frame(
     return FrameResult(frame=pair.name, done=done, stood=stood, figures=figures, seconds=spent)
 
 
-def _head(ready: Prepared, pair: Pair, sources: dict[str, str]) -> dict[str, Any]:
+def _head(ready: Prepared, pair: Pair, sources: dict[str, Any]) -> dict[str, Any]:
     """What a receipt says of the frame as a whole."""
     return {
         "frame": pair.number,

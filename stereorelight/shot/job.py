@@ -9,8 +9,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from stereorelight import __version__
 from stereorelight.arrays import Float32
 from stereorelight.camera import Camera
@@ -20,6 +18,7 @@ from stereorelight.footage.frames import read_frame, write_frame
 from stereorelight.light.shade import light_layers
 from stereorelight.passes import Frame
 from stereorelight.shot.depths import surface_of
+from stereorelight.shot.neighbours import Neighbours, search_figures
 from stereorelight.shot.pairs import Pair, flip_word, read_upright, recover_pair
 from stereorelight.shot.repairs import Repairs
 from stereorelight.shot.schema import Shot
@@ -34,6 +33,7 @@ class FrameJob:
     """What the steps of one frame share.
 
     preview_range_m : nearest and farthest distance of the depth previews, the same for the whole shot.
+    near            : the frames about it, which steady its depth; None where it stands alone.
     """
 
     shot: Shot
@@ -42,6 +42,7 @@ class FrameJob:
     preview_range_m: tuple[float, float] = (1.0, 10.0)
     search_figures: dict[str, Any] = field(default_factory=dict)
     repairs: Repairs | None = None
+    near: Neighbours | None = None
 
     def path(self, kind: str, suffix: str = "exr", *, what: str = "") -> Path:
         """NAME[.what][.frame].suffix in the folder of that kind."""
@@ -99,16 +100,20 @@ class FrameJob:
         """The left plate alone: what is relit."""
         if "plates" in self.__dict__:
             return self.plates[0]
-        return self.rectification.upright(self.pair.plate("left", self.shot.colour), "left")
+        kept = None if self.near is None else self.near.plate(self.pair)
+        return kept if kept is not None else self.rectification.upright(self.pair.plate("left", self.shot.colour), "left")
 
     def recovered(self) -> Frame:
         """Z, confidence and flags, found now."""
-        match_colour = self.shot.tables.plates.match_colour
-        found = recover_pair(self.pair, self.plates, self.rectification, settings=self.shot.depth, match_colour=match_colour)
-        frame = replace(found.frame, number=self.pair.number, metadata=self.words("depth"))
-        self.search_figures = {"searched_px": [found.search.low, found.search.high], "vertical_px": _rounded(found.vertical_px)}
-        if found.colour is not None:
-            self.search_figures["colour_match"] = found.colour.to_dict()
+        if self.near is not None and self.near.pairs_about(self.pair):
+            found, figures = self.near.steadied(self.pair, lambda: self.plates)
+            raw = found.frame
+            self.search_figures = figures | {"time_frames": list(found.frames), "regained_percent": round(100 * found.regained, 2)}
+        else:
+            match_colour = self.shot.tables.plates.match_colour
+            alone = recover_pair(self.pair, self.plates, self.rectification, settings=self.shot.depth, match_colour=match_colour)
+            raw, self.search_figures = alone.frame, search_figures(alone)
+        frame = replace(raw, number=self.pair.number, metadata=self.words("depth"))
         if self.repairs is not None:
             frame = self._repaired(frame, self.repairs)
         self.__dict__["depth"] = frame
@@ -151,7 +156,3 @@ class FrameJob:
     def beauty(self) -> Float32:
         """The relit plate."""
         return relight(self.plate, self.layers, plate_gain=self.shot.tables.relight.plate_gain)
-
-
-def _rounded(value: float) -> float | None:
-    return round(value, 3) if np.isfinite(value) else None

@@ -9,7 +9,7 @@ import functools
 import json
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -130,6 +130,7 @@ def run_shot(
     else:
         # The first frame here: it settles the preview range for all the others.
         results = [one(ready.pairs[0])]
+        ready.near.forget()
         results += run_in_processes(ready, path, noted=noted, force=force, workers=workers, on_event=on_event)
     record.put(shot=ready.shot.path.name, name=ready.shot.name, versions=dict(versions()))
     movies, written = write_reviews(
@@ -150,24 +151,35 @@ def run_shot(
 def run_in_processes(
     ready: Prepared, path: str | Path, *, noted: dict[str, Any], force: bool, workers: int, on_event: Callable[[Event], None]
 ) -> list[FrameResult]:
-    """The frames after the first one, on `workers` processes.  An error of one stops those that have not begun."""
+    """The frames after the first one, on `workers` processes.  An error of one stops those that have not begun.
+
+    A process takes frames in a row, so that what it found of a frame serves the next ones.
+    """
     rest, count = ready.pairs[1:], len(ready.pairs)
     workers = min(workers, len(rest))
+    length = _row_length(len(rest), workers, ready.near.window)
+    rows = [rest[k : k + length] for k in range(0, len(rest), length)]
     threads = max(1, usable_cores() // workers)
     # Spawned, not forked: numba's and OpenCV's threads do not survive a fork.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin_worker, initargs=(threads,)) as pool:
-        waiting = {pool.submit(_frame_in_worker, str(path), pair, noted, force, ready.mends): pair for pair in rest}
+        waiting = {pool.submit(_row_in_worker, str(path), row, noted, force, ready.mends): row for row in rows}
         results: dict[Pair, FrameResult] = {}
         try:
             for future in as_completed(waiting):
-                result = results[waiting[future]] = future.result()
-                for step, seconds in result.seconds.items():
-                    on_event(Event(frames=count, steps=len(result.figures), frame=result.frame, step=step, state="done", seconds=seconds))
+                for pair, result in zip(waiting[future], future.result()):
+                    results[pair] = result
+                    for step, seconds in result.seconds.items():
+                        on_event(Event(frames=count, steps=len(result.figures), frame=result.frame, step=step, state="done", seconds=seconds))
         except BrokenProcessPool:
             raise OutputError("a worker was ended from outside, perhaps for want of memory; run again with fewer --workers") from None
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
     return [results[pair] for pair in rest]
+
+
+def _row_length(frames: int, workers: int, window: int) -> int:
+    """How many frames a process takes in a row: one where frames stand alone, else enough that both ends cost little."""
+    return 1 if window == 0 else max(1, min(-(-frames // workers), 8 * window))
 
 
 def _aside(name: str, what: str, total: int) -> Event:
@@ -185,5 +197,6 @@ def _prepared_once(path: str) -> Prepared:
     return prepare(path)
 
 
-def _frame_in_worker(path: str, pair: Pair, noted: dict[str, Any], force: bool, mends: Mends) -> FrameResult:
-    return run_frame(replace(_prepared_once(path), mends=mends), pair, noted=dict(noted), note=lambda new: None, force=force)
+def _row_in_worker(path: str, row: Sequence[Pair], noted: dict[str, Any], force: bool, mends: Mends) -> list[FrameResult]:
+    ready = replace(_prepared_once(path), mends=mends)
+    return [run_frame(ready, pair, noted=dict(noted), note=lambda new: None, force=force) for pair in row]

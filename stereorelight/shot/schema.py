@@ -75,6 +75,8 @@ class DepthTable(Table):
     consistency_px: float = 1.0
     fill: bool = True
     matcher: str = Field(default="sgbm", min_length=1)
+    time: Literal["on", "off"] = "on"
+    time_window: int = 2
 
 
 class SurfaceTable(Table):

@@ -33,7 +33,8 @@ RIG = "The two cameras: lenses, and where the right one stands from the left one
 QUALITY = "draft, standard or fine: how much time a frame may take"
 RANGE = """\
 near_m = 0.5               # nearest distance to search; found from the pictures when left out
-far_m = 20.0               # farthest one"""
+far_m = 20.0               # farthest one
+time_window = 2            # frames before and after that steady a frame of a sequence; time = "off" takes each alone"""
 METHOD = "normals: plane (edge-aware fit) or difference (as in the paper)"
 GAIN = "the plate's own light is multiplied by this before the lights are added"
 LIGHTS = """\
