@@ -198,7 +198,7 @@ def test_motorcycle_confidence_tells_the_truth(real) -> None:
         inside = (sure >= low) & (sure < low + 0.1)
         if inside.mean() > 0.01:
             assert abs(sure[inside].mean() - right[inside].mean()) < 0.15, low
-    assert sure[right].mean() > sure[~right].mean() + 0.19
+    assert sure[right].mean() > sure[~right].mean() + 0.18
 
 
 def test_motorcycle_at_another_exposure_and_colour() -> None:
@@ -229,7 +229,7 @@ def test_a_hard_rig_costs_less_than_a_quarter() -> None:
     """Toed in, distorted, unequal, offset and mirrored, against a perfect rig, on the original plate.
 
     From plates without a last bit of noise the perfect rig, which resamples nothing, gains more than the hard one: there a
-    quarter is not reached (docs/figures.md), and the bound only keeps what is.
+    quarter is not reached (docs/figures.md), and the bounds, metres, only keep what is.
     """
     medians = {}
     for name in ("parallel", "hard"):
@@ -241,4 +241,5 @@ def test_a_hard_rig_costs_less_than_a_quarter() -> None:
             medians[name, quantised] = np.median(np.abs(got["Z"] - made.left["Z"])[seen])
     assert medians["parallel", True] < 0.0025
     assert medians["hard", True] <= 1.25 * medians["parallel", True]
-    assert medians["hard", False] <= 1.5 * medians["parallel", False]
+    assert medians["parallel", False] < 0.0013
+    assert medians["hard", False] < 0.0021

@@ -44,32 +44,133 @@ def brightness_residual(left: Float32, right: Float32, disparity: Float32) -> tu
     return residual, rate
 
 
+POLE = np.float32(np.sqrt(3.0) - 2.0)  # of the cubic spline's recursive filter (Unser 1999)
+FRACTIONS = 1024  # steps of the tables below
+
+
+def _cardinal_tables() -> tuple[Float32, Float32]:
+    """What interpolation does to white noise of variance one, by fraction of a pixel, (FRACTIONS + 1,) each.
+
+    pull : half the covariance of an interpolated value and its slope, over the variance of (pixel minus value): noise is least
+           half way between pixels, so that is where noise draws a match to (pixel locking).
+    rate : variance of the mean of both eyes' slopes, over the same.
+    """
+    n = 41
+    basis = np.eye(n)[n // 2] * 6.0
+    z = float(POLE)
+    c = np.zeros(n)
+    for k in range(n):  # the cardinal spline's coefficients are a two-sided decaying power of the pole
+        c[k] = basis[n // 2] * (-z / (1 - z * z)) * z ** abs(k - n // 2)
+    t = np.linspace(0, 1, FRACTIONS + 1)
+    s = 1 - t
+    value = (s**3 / 6, (4 - 6 * t**2 + 3 * t**3) / 6, (4 - 6 * s**2 + 3 * s**3) / 6, t**3 / 6)
+    slope = (-(s**2) / 2, (3 * t**2 - 4 * t) / 2, (4 * s - 3 * s**2) / 2, t**2 / 2)
+    weights, slopes = (np.stack([sum(c[k + j - 1] * b[j] for j in range(4)) for k in range(1, n - 2)]) for b in (value, slope))
+    noise = 1 + (weights**2).sum(axis=0)
+    covariance = (weights * slopes).sum(axis=0)
+    steep = (slopes**2).sum(axis=0)
+    return (0.5 * covariance / noise).astype(np.float32), (0.25 * (steep + steep[0]) / noise).astype(np.float32)
+
+
+LOCKING, STEEPNESS = _cardinal_tables()
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _measured(first, end, disparity, residual, local, rate, trust, inv_noise2, inv_outlier2, prior, target, weight):
+def _spline_row(row, pole, out):
+    """Coefficients of the cubic spline through a row, mirrored at both ends."""
+    n = row.size
+    total, power = row[0], pole
+    for k in range(1, min(n, 16)):
+        total += power * row[k]
+        power *= pole
+    out[0] = total
+    for k in range(1, n):
+        out[k] = row[k] + pole * out[k - 1]
+    out[n - 1] = pole / (pole * pole - f4(1)) * (out[n - 1] + pole * out[max(n - 2, 0)])
+    for k in range(n - 2, -1, -1):
+        out[k] = pole * (out[k + 1] - out[k])
+    for k in range(n):
+        out[k] *= f4(6)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _splines(first, end, picture, pole, out):
+    for y in range(first, end):
+        _spline_row(picture[y], pole, out[y])
+
+
+def row_splines(picture: Float32) -> Float32:
+    """(H, W) coefficients of the cubic spline through each row: between pixels it keeps detail that shorter cubics lose."""
+    out = np.empty_like(picture)
+    in_row_blocks(lambda first, end: _splines(first, end, picture, POLE, out), picture.shape[0])
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _mirrored(k, W):
+    return k if k < W else max(2 * W - 2 - k, 0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _differences(first, end, left, left_spline, right_spline, disparity, residual, rate):
+    W = left.shape[1]
+    for y in range(first, end):
+        row, own, other, d = left[y], left_spline[y], right_spline[y], disparity[y]
+        for x in range(W):
+            u = min(max(f4(x) - d[x], f4(0)), f4(W - 1))
+            k = int(u)
+            t = u - f4(k)
+            s = f4(1) - t
+            c0, c1, c2, c3 = other[abs(k - 1)], other[k], other[_mirrored(k + 1, W)], other[_mirrored(k + 2, W)]
+            value = (
+                s * s * s * c0 + (f4(4) - f4(6) * t * t + f4(3) * t * t * t) * c1 + (f4(4) - f4(6) * s * s + f4(3) * s * s * s) * c2 + t * t * t * c3
+            )
+            slope = -s * s * c0 + (f4(3) * t * t - f4(4) * t) * c1 + (f4(4) * s - f4(3) * s * s) * c2 + t * t * c3
+            here = own[_mirrored(x + 1, W)] - own[abs(x - 1)]
+            residual[y, x] = row[x] - f4(1 / 6) * value
+            # Both eyes' slopes: the mean is right to second order where either alone is right to first.
+            rate[y, x] = f4(-0.25) * (slope + here)
+
+
+def spline_residual(left: Float32, left_spline: Float32, right_spline: Float32, disparity: Float32) -> tuple[Float32, Float32]:
+    """left - right(x - d), grey levels, and the change of right(x - d) per pixel of disparity; pictures as `row_splines` gives them."""
+    residual, rate = np.empty_like(left), np.empty_like(left)
+    in_row_blocks(lambda first, end: _differences(first, end, left, left_spline, right_spline, disparity, residual, rate), left.shape[0])
+    return residual, rate
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _evidence(first, end, disparity, residual, rate, noise2, rate2, trust, locking, steepness, weight, pull):
     W = disparity.shape[1]
     for y in range(first, end):
         for x in range(W):
-            e, g = residual[y, x] - local[y, x], rate[y, x]
-            k = f4(1) / (f4(1) + e * e * inv_outlier2)
-            k = k * k * inv_noise2
-            w = prior + g * g * k
-            target[y, x] = disparity[y, x] + g * e * k / w
-            weight[y, x] = w * trust[y, x]
+            u = f4(x) - disparity[y, x]
+            t = int((u - np.floor(u)) * f4(FRACTIONS))
+            e, g, n2 = residual[y, x], rate[y, x], noise2[y, x]
+            k = f4(1) / (f4(1) + e * e / (f4(9) * n2))
+            k *= k
+            # Of the squared slope, this share is texture; the rest is noise and says nothing.
+            real = f4(1) - n2 * steepness[t] / max(rate2[y, x], f4(1e-6))
+            real = min(max(real, f4(0.03)), f4(1))
+            k *= trust[y, x] * real
+            weight[y, x] = g * g / n2 * k * real
+            pull[y, x] = (g * e / n2 - (locking[t] if g != f4(0) else f4(0))) * k
 
 
-def measured_disparity(
-    disparity: Float32, residual: Float32, local: Float32, rate: Float32, trust: Float32, *, noise: float, outlier: float, prior: float
+def photometric_evidence(
+    disparity: Float32, residual: Float32, rate: Float32, noise2: Float32, rate2: Float32, trust: Float32
 ) -> tuple[Float32, Float32]:
-    """The disparity that each pixel's brightness asks for, and its weight (inverse variance, 1/px^2, times trust).
+    """What each pixel's brightness says of its disparity: weight (inverse variance, 1/px^2) and weight times (asked - had).
 
-    local   : (H, W) local mean of the residual, taken off: a difference of exposure is no disparity.
-    noise   : standard deviation of the residual, grey levels.   outlier: residual at which a pixel counts a quarter.
-    prior   : weight of the disparity as it was, 1/px^2.
+    residual, rate : as `spline_residual` gives them, less their local means: a difference of exposure is no disparity.
+    noise2, rate2  : (H, W) local mean squares of both, grey levels squared; noise2 > 0.   trust : (H, W) 0..1.
+    A residual three times the local noise counts a quarter.  What noise alone adds to the slope, and the pull of noise towards
+    half pixels, are taken off.
     """
-    target, weight = np.empty_like(disparity), np.empty_like(disparity)
-    given = (f4(1 / noise**2), f4(1 / outlier**2), f4(prior), target, weight)
-    in_row_blocks(lambda first, end: _measured(first, end, disparity, residual, local, rate, trust, *given), disparity.shape[0])
-    return target, weight
+    weight, pull = np.empty_like(disparity), np.empty_like(disparity)
+    given = (disparity, residual, rate, noise2, rate2, trust, LOCKING, STEEPNESS, weight, pull)
+    in_row_blocks(lambda first, end: _evidence(first, end, *given), disparity.shape[0])
+    return weight, pull
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

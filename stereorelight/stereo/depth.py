@@ -88,9 +88,7 @@ def _flipped(depth: RectifiedDepth) -> RectifiedDepth:
     def turn(a: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(a[:, ::-1])
 
-    r = depth.refined
-    refined = Refined(disparity=turn(r.disparity), slope_x=-turn(r.slope_x), slope_y=turn(r.slope_y), unseen=turn(r.unseen))
-    return RectifiedDepth(refined=refined, confidence=turn(depth.confidence), flags=turn(depth.flags), vertical_px=depth.vertical_px)
+    return RectifiedDepth(refined=depth.refined.flipped(), confidence=turn(depth.confidence), flags=turn(depth.flags), vertical_px=depth.vertical_px)
 
 
 def depth_on_plate(depth: RectifiedDepth, rectification: Rectification, *, eye: Eye = "left", fill: bool = True) -> Frame:

@@ -1,12 +1,12 @@
-"""From a dense disparity to one worth lighting: sub-pixel photometry, occluded ground, and local planes.
+"""From a dense disparity to one worth lighting: occluded ground, depth edges, and the smoothest surface that both pictures agree with.
 
-In: a `Proxy` and its dense disparity.  Out: a `Refined` disparity with slopes.  Each step is against one fault:
-- variational refinement (Brox et al. 2004, OpenCV's) takes out the whole-pixel steps of the matcher;
+In: a `Proxy` and its dense disparity.  Out: a `Refined` disparity with slopes and its standard deviation.  Each step is against one fault:
 - ground that the other eye cannot see takes the disparity of the background beside it, and every pixel on a depth edge
   that of the side it looks like: never a blend of actor and wall;
-- a robust local plane takes out the noise that would turn normals, and leaves a slope per pixel;
-- photometric planes (Lucas and Kanade 1981, over each pixel's own surface) take out what the first steps leave on plain
-  ground: a bias of 0.1-0.3 px that follows the fraction of the disparity.  Wide windows first, since bias is wide."""
+- a robust local plane takes out the whole-pixel steps of the matcher, and strays;
+- every pixel's brightness then says where it would rather be (Lucas and Kanade 1981), and a thin plate per surface, cut at
+  depth edges, averages that over as many pixels as the evidence needs (engine/bending.py).  How far the surface may bend is
+  found from the pair itself, region by region (MacKay 1992): a face keeps its nose while the wall behind it lies flat."""
 
 from __future__ import annotations
 
@@ -16,80 +16,166 @@ import cv2
 import numpy as np
 
 from stereorelight.arrays import Bool, Float32, UInt8
+from stereorelight.engine.bending import bend_energy, doubled, halved, plate_correction, slopes
 from stereorelight.engine.edges import joined_to_sides
 from stereorelight.engine.occlusion import background, unseen
-from stereorelight.engine.photometric import brightness_residual, measured_disparity
-from stereorelight.engine.refine import Planes, blended, robust_planes
+from stereorelight.engine.photometric import photometric_evidence, row_splines, spline_residual
+from stereorelight.engine.refine import blended, robust_planes
 from stereorelight.stereo.proxy import Proxy
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """disparity and its slopes along x and y, each (H, W) float32; unseen: ground that the right eye cannot see."""
+    """What is known of each pixel of the left eye; every array (H, W).
+
+    disparity        : px.   slope_x, slope_y : its change per pixel.   unseen : ground that the right eye cannot see.
+    sigma_px         : standard deviation of the disparity: noise of the pictures and expected bend of the surface together.
+    slope_sigma      : standard deviation of either slope, px per px.
+    """
 
     disparity: Float32
     slope_x: Float32
     slope_y: Float32
     unseen: Bool
+    sigma_px: Float32
+    slope_sigma: Float32
 
+    def flipped(self) -> Refined:
+        """The same of the mirrored pair, turned back."""
 
-def sub_pixel(proxy: Proxy, disparity: Float32, *, smoothness: float = 10.0, gradient: float = 10.0, iterations: int = 2) -> Float32:
-    """Variational refinement of `disparity` on the grey proxies; `smoothness` against brightness and `gradient` constancy."""
-    left, right = (cv2.cvtColor(p, cv2.COLOR_BGR2GRAY) for p in (proxy.left, proxy.right))
-    refinement = cv2.VariationalRefinement_create()
-    refinement.setAlpha(smoothness)
-    refinement.setGamma(gradient)
-    refinement.setFixedPointIterations(iterations)
-    u, _ = refinement.calcUV(left, right, -disparity, np.zeros_like(disparity))
-    return -u
+        def turn(a: Float32) -> Float32:
+            return np.ascontiguousarray(a[:, ::-1])
 
-
-@dataclass(frozen=True, kw_only=True)
-class Round:
-    """One round of photometric planes: half window, sampling step, weight of the disparity so far (1/px^2)."""
-
-    radius: int
-    stride: int
-    prior: float
-
-
-WIDE, WIDER = Round(radius=15, stride=5, prior=0.1), Round(radius=20, stride=5, prior=0.05)
-NARROW, CLOSE = Round(radius=8, stride=2, prior=2.0), Round(radius=5, stride=1, prior=2.0)
+        return Refined(
+            disparity=turn(self.disparity),
+            slope_x=-turn(self.slope_x),
+            slope_y=turn(self.slope_y),
+            unseen=np.ascontiguousarray(self.unseen[:, ::-1]),
+            sigma_px=turn(self.sigma_px),
+            slope_sigma=turn(self.slope_sigma),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
     """How much refinement a quality buys.
 
-    variational : steps of variational refinement; none where photometric planes do that work.
-    passes      : of the first plane fit.   rounds : of photometric planes.
+    passes : of the first plane fit.   rounds : of looking at the pictures again from the better surface.
+    steps  : of the solver on each level of a round.
     """
 
-    variational: int
     passes: int
-    rounds: tuple[Round, ...]
+    rounds: int
+    steps: int
 
 
 EFFORTS = {
-    "draft": Effort(variational=1, passes=2, rounds=()),
-    "standard": Effort(variational=0, passes=1, rounds=(WIDE, NARROW)),
-    "fine": Effort(variational=5, passes=2, rounds=(WIDER, NARROW, CLOSE)),
+    "draft": Effort(passes=1, rounds=1, steps=4),
+    "standard": Effort(passes=1, rounds=3, steps=8),
+    "fine": Effort(passes=2, rounds=4, steps=14),
 }
 JUMP_PX = 1.5  # a step between neighbours that no surface worth lighting makes
 FATTENING_PX = 3  # how far matching carries a near surface past its outline
-LOCAL = (9, 9)  # window over which a difference of brightness between the eyes is exposure, not disparity
-NOISE_FLOOR = 1.0  # grey levels: quantisation and resampling leave no less
+LOCAL = (7, 7)  # window over which a difference of brightness between the eyes is exposure, not disparity
+NOISE = (9, 9)  # window over which the noise of the pictures is measured
+NOISE_FLOOR = 0.7  # grey levels: quantisation and resampling leave no less
 UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.3
+PRIOR = 0.005  # weight of the matched disparity where the pictures say nothing, 1/px^2: its errors hang together over many pixels
+CUT_PX = 0.15  # a second difference that no surface makes: a depth edge, over which nothing binds
+LEVELS = 5
+BEND = 0.006  # px per px^2: what a surface bends by before anything is known of it
+BEND_DOUBT = 4.0  # worth of that guess, in independent measurements
+BEND_LIMITS = (0.0008, 0.15)
+BEND_RADIUS = 6.0  # px over which surfaces bend alike
+GEOMETRIC = 1.5  # mean square of bends over the square of their geometric mean
+BAND = 4 * np.pi  # of frequencies that pixels can hold, squared radians per pixel
 
 
-def photometric_planes(proxy: Proxy, planes: Planes, trust: Float32, this: Round, *, tau_px: float) -> Planes:
-    """The local planes that make the two pictures agree best, each over its own surface within the round's window."""
-    residual, rate = brightness_residual(proxy.left_grey, proxy.right_grey, planes[0])
-    rate[trust <= UNSEEN_TRUST] = 0  # what the right eye does not see says nothing about it
-    local = cv2.blur(residual, LOCAL)
-    noise = max(NOISE_FLOOR, 1.4826 * float(np.median(np.abs(residual - local)[::4, ::4])))
-    target, weight = measured_disparity(planes[0], residual, local, rate, trust, noise=noise, outlier=noise + 2, prior=this.prior)
-    return robust_planes(planes[0], weight, radius=this.radius, stride=this.stride, tau_px=tau_px, slopes=planes[1:], target=target, passes=1)
+def _shrunk(a: Float32, times: int) -> Float32:
+    for _ in range(times):
+        a = halved(a)
+    return a
+
+
+def _grown(a: Float32, shape: tuple[int, int]) -> Float32:
+    """A quarter-size map at full size."""
+    return doubled(doubled(a, ((shape[0] + 1) // 2, (shape[1] + 1) // 2)), shape)
+
+
+def _mean_weight(weight: Float32) -> Float32:
+    """Local mean, on the quarter-size grid."""
+    return cv2.GaussianBlur(_shrunk(weight, 2), (0, 0), BEND_RADIUS / 4)
+
+
+def expected_bend(disparity: Float32, weight: Float32, bend: Float32) -> Float32:
+    """What the surface about each pixel bends by (standard deviation, px per px^2), on the quarter-size grid.
+
+    weight : local mean weight; bend: what was expected when `disparity` was solved for; both on that grid.
+    The bends that are seen, over the share of them that the evidence could determine, 1/8 bend sqrt(weight) per pixel; each seen on the
+    grid that matches the width it was averaged over, so that what is left of the noise counts little.
+    """
+    reach = (bend * bend * np.maximum(weight, 1e-9)) ** np.float32(-0.25)  # px that the plate averages over
+    level = np.clip(np.log2(1.25 * reach), 0, 3).astype(np.int8)
+    seen = np.empty_like(bend)
+    d = disparity
+    for k in range(4):
+        logs, counts = bend_energy(d, cut=CUT_PX * min(2**k, 4))
+        logs, counts = (_shrunk(a, 2 - k) if k < 3 else doubled(a, bend.shape) for a in (logs, counts))
+        logs, counts = (cv2.GaussianBlur(a, (0, 0), BEND_RADIUS / 4) for a in (logs, counts))
+        energy = np.exp(logs / np.maximum(counts, np.float32(1e-3))) * np.float32(GEOMETRIC / 16**k)
+        np.copyto(seen, energy, where=level == k)
+        d = halved(d, surface=True)
+    determined = np.minimum(0.125 * bend * np.sqrt(weight), 0.5)
+    window = 4 * np.pi * BEND_RADIUS**2
+    square = (BEND_DOUBT * BEND**2 + window * seen) / (BEND_DOUBT + window * determined)
+    return np.clip(np.sqrt(square), *BEND_LIMITS).astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surface:
+    """A disparity, and the weight and bend that it rests on, both on the quarter-size grid."""
+
+    disparity: Float32
+    weight: Float32
+    bend: Float32
+
+    def sigma(self) -> tuple[Float32, Float32]:
+        """Standard deviation of the disparity, px, and of its slopes, px per px: of a plate with data, in closed form.
+
+        With weight w and stiffness 1/bend^2 the variance at frequency k is 1/(w + k^4/bend^2): 1/8 bend / sqrt(w) in all, and
+        bend^2/(16 pi) log(1 + BAND^2/(bend^2 w)) of either slope.
+        """
+        variance = 0.125 * self.bend / np.sqrt(self.weight)
+        steep = self.bend**2 / (16 * np.pi) * np.log1p(BAND**2 / (self.bend**2 * self.weight))
+        sigma, slope = (np.sqrt(a).astype(np.float32) for a in (variance, steep))
+        return _grown(sigma, self.disparity.shape), _grown(slope, self.disparity.shape)
+
+
+def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, rounds: int, steps: int) -> Surface:
+    """The smoothest surface near `disparity` that makes the two pictures agree.
+
+    trust : (H, W) 0..1, weighs the evidence; nothing is asked of the right eye where it is `UNSEEN_TRUST` or less.
+    """
+    left_spline, right_spline = row_splines(proxy.left_grey), row_splines(proxy.right_grey)
+    d = disparity
+    bend: Float32 | None = None
+    for _ in range(rounds):
+        residual, rate = spline_residual(proxy.left_grey, left_spline, right_spline, d)
+        residual -= cv2.blur(residual, LOCAL)
+        rate -= cv2.blur(rate, LOCAL)
+        rate[trust <= UNSEEN_TRUST] = 0
+        squares = residual * residual
+        usual = 2.2 * float(np.median(squares[::4, ::4])) + NOISE_FLOOR**2
+        noise2 = np.maximum(cv2.blur(np.minimum(squares, np.float32(9 * usual)), NOISE), np.float32(NOISE_FLOOR**2))
+        weight, pull = photometric_evidence(d, residual, rate, noise2, cv2.blur(rate * rate, NOISE), trust)
+        weight += np.float32(PRIOR)
+        pull += np.float32(PRIOR) * (disparity - d)
+        mean = _mean_weight(weight)
+        bend = np.full_like(mean, BEND) if bend is None else expected_bend(d, mean, bend)
+        moved = plate_correction(d, weight, pull, _grown(bend, d.shape), cut=CUT_PX, levels=LEVELS, steps=steps)
+        d = d + np.clip(moved, -1, 1)
+    assert bend is not None
+    return Surface(disparity=d, weight=mean, bend=bend)
 
 
 def _from_rows_that_match(disparity: Float32, proxy: Proxy) -> Float32:
@@ -130,11 +216,9 @@ def _joined(disparity: Float32, proxy: Proxy) -> Float32:
     return np.where(outline, cv2.medianBlur(joined, 5), joined)
 
 
-def _refilled(planes: Planes, lost: Bool, source: Bool) -> Planes:
+def _refilled(disparity: Float32, lost: Bool, source: Bool) -> Float32:
     """Lost ground takes the refined background: filled from single raw matches, its rows would show as streaks."""
-    behind = cv2.medianBlur(background(planes[0], source), 5)
-    level = np.float32(0)
-    return np.where(lost, behind, planes[0]), np.where(lost, level, planes[1]), np.where(lost, level, planes[2])
+    return np.where(lost, cv2.medianBlur(background(disparity, source), 5), disparity)
 
 
 def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EFFORTS["standard"], tau_px: float = 0.5) -> Refined:
@@ -143,15 +227,16 @@ def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EF
     dense     : (H, W) disparity with a value everywhere.   confirmed : (H, W), the right eye says the same.
     tau_px    : how far off a plane a neighbour may lie and still belong to the surface.
     """
-    fine = sub_pixel(proxy, dense, iterations=effort.variational) if effort.variational else dense
-    fine = _from_rows_that_match(fine, proxy)
+    fine = _from_rows_that_match(dense, proxy)
     lost = (unseen(fine) | _out_of_range(fine, confirmed)) & ~confirmed
     # The median takes out streaks: a row whose nearest match is wrong.
     filled = _joined(np.where(lost, cv2.medianBlur(background(fine, confirmed), 5), fine), proxy)
     trust = np.where(confirmed, np.float32(1), np.float32(UNSURE_TRUST))
     trust[lost] = UNSEEN_TRUST
     planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
-    for this in effort.rounds:
-        planes = photometric_planes(proxy, planes, trust, this, tau_px=tau_px)
-    planes = blended(_refilled(planes, lost, confirmed), tau_px=tau_px)
-    return Refined(disparity=planes[0], slope_x=planes[1], slope_y=planes[2], unseen=lost)
+    planes = blended(blended(planes, tau_px=tau_px), tau_px=tau_px)
+    surface = photometric_surface(proxy, planes[0], trust, rounds=effort.rounds, steps=effort.steps)
+    disparity = _refilled(surface.disparity, lost, confirmed)
+    slope_x, slope_y = slopes(disparity, cut=CUT_PX)
+    sigma, slope_sigma = surface.sigma()
+    return Refined(disparity=disparity, slope_x=slope_x, slope_y=slope_y, unseen=lost, sigma_px=sigma, slope_sigma=slope_sigma)

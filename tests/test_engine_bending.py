@@ -1,0 +1,96 @@
+"""The thin plate: planes are kept, bends are smoothed by what the evidence asks for, and nothing binds over an edge."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stereorelight.engine.bending import bend_energy, doubled, halved, plate_correction, slopes
+from stereorelight.threads import set_threads, usable_cores
+
+f4 = np.float32
+HW = (150, 131)
+Y, X = np.mgrid[: HW[0], : HW[1]].astype(f4)
+
+
+def full(value: float) -> np.ndarray:
+    return np.full(HW, value, f4)
+
+
+def fitted(start: np.ndarray, known: np.ndarray, weight: np.ndarray, bend: float, rounds: int = 3, steps: int = 20) -> np.ndarray:
+    d = start.astype(f4)
+    for _ in range(rounds):
+        d = d + plate_correction(d, weight, weight * (known - d).astype(f4), full(bend), cut=0.15, steps=steps)
+    return d
+
+
+def test_a_plane_is_left_alone() -> None:
+    plane = 20 + 0.3 * X - 0.2 * Y
+    assert np.abs(plate_correction(plane, full(1e-3), full(0), full(0.01), cut=0.15)).max() < 2e-4
+
+
+def test_noise_falls_as_the_closed_form_says() -> None:
+    """Variance bend / (8 sqrt(weight)) of a surface that bends not at all is a bound; half of it is what noise alone leaves."""
+    noise = np.random.default_rng(0).normal(0, 0.5, HW).astype(f4)
+    weight, bend = 1 / 0.25, 0.01
+    d = fitted(full(10), 10 + noise, full(weight), bend, rounds=1, steps=60)
+    inside = (d - 10)[20:-20, 20:-20]
+    posterior = np.sqrt(0.125 * bend / np.sqrt(weight))
+    assert 0.5 * posterior < inside.std() < posterior
+
+
+def test_tilted_ground_without_evidence_is_a_plane_between_what_is_known() -> None:
+    truth = 5 + 0.1 * X + 0.05 * Y
+    weight = full(1e-7)
+    weight[:, :30] = weight[:, 100:] = 4
+    start = truth + np.where(weight > 1, 0, 0.4 * np.sin(X / 9))
+    d = fitted(start, truth, weight, 0.002, rounds=6, steps=60)
+    assert np.abs(d - truth).max() < 0.05
+
+
+def test_an_edge_binds_nothing() -> None:
+    step = np.where(X < 60, f4(10), f4(14)) + 0.02 * Y
+    noise = np.random.default_rng(1).normal(0, 0.02, HW)
+    d = fitted(step, step + noise, full(100), 0.001)
+    assert np.abs(d - step).max() < 0.05
+    slope_x, slope_y = slopes(d, cut=0.15)
+    assert np.abs(slope_x).max() < 0.05  # no skirt
+    assert np.median(slope_y) == pytest.approx(0.02, abs=2e-3)
+
+
+def test_slopes_of_a_plane_hold_to_the_border() -> None:
+    slope_x, slope_y = slopes(3 + f4(0.25) * X - f4(0.5) * Y, cut=0.15)
+    assert np.abs(slope_x - 0.25).max() < 1e-4
+    assert np.abs(slope_y + 0.5).max() < 1e-4
+
+
+def test_bend_energy_is_that_of_a_paraboloid_and_none_at_edges() -> None:
+    d = 0.5 * (0.02 * X * X + 0.01 * Y * Y) + 0.005 * X * Y
+    logs, counts = bend_energy(d.astype(f4), cut=0.15)
+    inside = (slice(2, -2), slice(2, -2))
+    assert counts[inside].all()
+    assert np.median(np.exp(logs[inside])) == pytest.approx(0.02**2 + 2 * 0.005**2 + 0.01**2, rel=0.05)
+    logs, counts = bend_energy(np.where(X < 60, f4(10), f4(14)), cut=0.15)
+    assert not counts[:, 59:61].any()
+
+
+def test_halved_and_doubled_keep_planes() -> None:
+    plane = 2 + 0.5 * X - 0.25 * Y
+    half = halved(plane, surface=True)
+    assert np.abs(half - (2 + 0.5 * (X + 0.5) - 0.25 * (Y + 0.5))[::2, ::2]).max() < 1e-4
+    assert np.abs(doubled(half, HW, surface=True) - plane).max() < 1e-4
+    assert halved(full(3), times=1.0).max() == 12  # sums keep their size at an odd end
+    assert np.array_equal(doubled(halved(full(3)), HW), full(3))
+
+
+def test_same_bits_whatever_the_threads() -> None:
+    rng = np.random.default_rng(2)
+    d, pull = (rng.normal(0, 0.1, HW).astype(f4) for _ in range(2))
+    both = []
+    try:
+        for threads in (1, 2):
+            set_threads(threads)
+            both.append(plate_correction(d, full(1), pull, full(0.01), cut=0.5))
+    finally:
+        set_threads(usable_cores())
+    assert np.array_equal(*both)
