@@ -32,6 +32,7 @@ LUMA = (0.2126, 0.7152, 0.0722)  # Rec.709
 ENCODE_STEPS = 1 << 14  # of linear light: an sRGB code near black is five of them
 FLAG_COLOURS = {
     Flag.BAD_PLATE: (230, 0, 230),
+    Flag.REPAIRED: (245, 245, 245),
     Flag.OUT_OF_VIEW: (60, 110, 230),
     Flag.OCCLUDED: (230, 90, 40),
     Flag.UNMATCHED: (235, 205, 50),
