@@ -11,6 +11,7 @@ bits come whatever the number of threads."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -19,16 +20,16 @@ from stereorelight.arrays import Float32
 from stereorelight.engine.rows import in_row_blocks
 
 f4 = np.float32
-SMALL = 120  # rows of a picture that is not worth sharing out to threads
+SMALL = 600_000  # pixels of a picture that is not worth sharing out to threads: a pass over it takes less than a millisecond
 ROWS = 40  # rows of a block
 LOOSER = 4  # how much larger a bend may be on a coarse grid before it counts as an edge: bends grow by 4 a level, steps do not
 
 
-def _in_blocks(run: Callable[[int, int], None], height: int) -> None:
-    if height <= SMALL:
-        run(0, height)
+def _in_blocks(run: Callable[[int, int], None], like: Float32) -> None:
+    if like.size <= SMALL:
+        run(0, like.shape[0])
     else:
-        in_row_blocks(run, height, block_rows=ROWS)
+        in_row_blocks(run, like.shape[0], block_rows=ROWS)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -190,7 +191,7 @@ def halved(a: Float32, *, times: float = 0.25, surface: bool = False) -> Float32
     surface : an odd last row or column goes on as it leans; else it counts twice.
     """
     out = np.empty(((a.shape[0] + 1) // 2, (a.shape[1] + 1) // 2), np.float32)
-    _in_blocks(lambda begin, end: _halve(begin, end, a, f4(times), f4(surface), out), out.shape[0])
+    _in_blocks(lambda begin, end: _halve(begin, end, a, f4(times), f4(surface), out), out)
     return out
 
 
@@ -225,7 +226,7 @@ def _double(begin, end, a, lean, out):
 def doubled(a: Float32, shape: tuple[int, int], *, surface: bool = False) -> Float32:
     """The inverse of `halved`, linear between the cells' centres; beyond the outer ones constant, or a `surface` as it leans."""
     out = np.empty(shape, np.float32)
-    _in_blocks(lambda begin, end: _double(begin, end, a, f4(surface), out), shape[0])
+    _in_blocks(lambda begin, end: _double(begin, end, a, f4(surface), out), out)
     return out
 
 
@@ -246,7 +247,7 @@ def _finer(coarse: Float32, correction: Float32, d: Float32, apart: float) -> Fl
     """Where to start on a finer grid: the coarse surface itself where it is this pixel's surface, else its correction."""
     out = np.empty_like(d)
     surface, moved = doubled(coarse + correction, d.shape, surface=True), doubled(correction, d.shape)
-    _in_blocks(lambda begin, end: _start(begin, end, surface, moved, d, f4(apart), out), d.shape[0])
+    _in_blocks(lambda begin, end: _start(begin, end, surface, moved, d, f4(apart), out), d)
     return out
 
 
@@ -254,28 +255,35 @@ class _Plate:
     """The linear system of one level: weight and stiffness about a disparity."""
 
     def __init__(self, d: Float32, weight: Float32, stiff: Float32, cut: float) -> None:
-        self.height = d.shape[0]
+        self.like = d
         self.weight = weight
         self.links = tuple(np.empty_like(d) for _ in range(3))
         self.bends = tuple(np.empty_like(d) for _ in range(3))
-        self.dots = np.empty(self.height, np.float64)
-        _in_blocks(lambda begin, end: _links(begin, end, d, stiff, f4(cut), *self.links), self.height)
+        self.dots = np.empty(d.shape[0], np.float64)
+        _in_blocks(lambda begin, end: _links(begin, end, d, stiff, f4(cut), *self.links), self.like)
 
     def force(self, weight: Float32, u: Float32, out: Float32) -> float:
         """weight u + plate u into `out`; returns u . out."""
-        _in_blocks(lambda begin, end: _bend(begin, end, u, *self.links, *self.bends), self.height)
-        _in_blocks(lambda begin, end: _back(begin, end, weight, u, *self.bends, out, self.dots), self.height)
+        _in_blocks(lambda begin, end: _bend(begin, end, u, *self.links, *self.bends), self.like)
+        _in_blocks(lambda begin, end: _back(begin, end, weight, u, *self.bends, out, self.dots), self.like)
         return float(self.dots.sum())
+
+    def _advance(self, alpha: np.float32, vectors: tuple[Float32, ...], begin: int, end: int) -> None:
+        _step(begin, end, alpha, *vectors, self.dots)
+
+    def _turn(self, beta: np.float32, z: Float32, p: Float32, begin: int, end: int) -> None:
+        _turn(begin, end, beta, z, p)
 
     def solve(self, b: Float32, u: Float32, steps: int) -> Float32:
         """So many steps of conjugate gradients towards (weight + plate) u = b; `u` is overwritten."""
         inverse, ap, z = np.empty_like(u), np.empty_like(u), np.empty_like(u)
-        _in_blocks(lambda begin, end: _diagonal(begin, end, self.weight, *self.links, inverse), self.height)
+        _in_blocks(lambda begin, end: _diagonal(begin, end, self.weight, *self.links, inverse), self.like)
         self.force(self.weight, u, ap)
         r = b - ap
         z = inverse * r
         p = z.copy()
-        _in_blocks(lambda begin, end: _step(begin, end, f4(0), p, ap, inverse, u, r, z, self.dots), self.height)
+        vectors = (p, ap, inverse, u, r, z)
+        _in_blocks(partial(self._advance, f4(0), vectors), self.like)
         rz = float(self.dots.sum())
         for _ in range(steps):
             if not rz > 0:
@@ -284,10 +292,10 @@ class _Plate:
             if not pap > 0:
                 break
             alpha = f4(rz / pap)
-            _in_blocks(lambda begin, end, a=alpha: _step(begin, end, a, p, ap, inverse, u, r, z, self.dots), self.height)
+            _in_blocks(partial(self._advance, alpha, vectors), self.like)
             after = float(self.dots.sum())
             beta, rz = f4(after / rz), after
-            _in_blocks(lambda begin, end, b=beta: _turn(begin, end, b, z, p), self.height)
+            _in_blocks(partial(self._turn, beta, z, p), self.like)
         return u
 
 
@@ -344,7 +352,7 @@ def _energy(begin, end, d, cut, floor, logs, counts):
 def bend_energy(d: Float32, *, cut: float, floor: float = 1e-10) -> tuple[Float32, Float32]:
     """Logarithm of d_xx^2 + 2 d_xy^2 + d_yy^2 per pixel (H, W), px^2, and 1 where it is known: not at edges, where it is 0 and 0."""
     logs, counts = np.empty_like(d), np.empty_like(d)
-    _in_blocks(lambda begin, end: _energy(begin, end, d, f4(cut), f4(floor), logs, counts), d.shape[0])
+    _in_blocks(lambda begin, end: _energy(begin, end, d, f4(cut), f4(floor), logs, counts), d)
     return logs, counts
 
 
@@ -375,5 +383,5 @@ def _slopes(begin, end, d, cut, out_x, out_y):
 def slopes(d: Float32, *, cut: float) -> tuple[Float32, Float32]:
     """d/dx and d/dy (H, W): the mean of the differences on either side, or the flatter one where they differ by `cut`, an edge."""
     out_x, out_y = np.empty_like(d), np.empty_like(d)
-    _in_blocks(lambda begin, end: _slopes(begin, end, d, f4(cut), out_x, out_y), d.shape[0])
+    _in_blocks(lambda begin, end: _slopes(begin, end, d, f4(cut), out_x, out_y), d)
     return out_x, out_y
