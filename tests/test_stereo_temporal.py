@@ -103,10 +103,10 @@ def take_scene() -> Take:
     return take
 
 
-def steady(take: Take, t: int, told: list[Glimpse], *, window: int = WINDOW, among: range | None = None) -> Steadied:
+def steady(t: int, told: list[Glimpse], *, window: int = WINDOW, among: range | None = None) -> Steadied:
     frames = among or range(len(told))
     near = {k: (told[t + k], motion_between(told[t], told[t + k])[0]) for k in range(-window, window + 1) if k and t + k in frames}
-    return steadied(take.alone[t], told[t], near, window=window)
+    return steadied(told[t], near, window=window)
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def told(take: Take) -> list[Glimpse]:
 
 @pytest.fixture(scope="module")
 def calm(take: Take, told: list[Glimpse]) -> list[Frame]:
-    return [steady(take, t, told).frame for t in range(FRAMES)]
+    return [steady(t, told).frame for t in range(FRAMES)]
 
 
 def test_flicker_is_a_third_and_the_error_no_worse(take: Take, calm: list[Frame]) -> None:
@@ -141,7 +141,8 @@ def test_flicker_is_a_third_and_the_error_no_worse(take: Take, calm: list[Frame]
     e, s = np.abs(take.disparity(take.alone) - true), np.abs(take.disparity(calm) - true)
     assert np.median(s) < 0.85 * np.median(e)
     for t in range(FRAMES):
-        assert np.median(s[t]) < 1.02 * np.median(e[t])
+        # The first and the last frame have neighbours on one side alone: the rate takes what they would gain.
+        assert np.median(s[t]) < (1.15 if t in (0, FRAMES - 1) else 0.95) * np.median(e[t])
         assert (s[t] > 1).mean() < (e[t] > 1).mean() + 0.001
     near = np.ones((7, 7), np.uint8)
     edges = np.stack([cv2.dilate(d, near) - cv2.erode(d, near) > 1 for d in true.astype(np.float32)])
@@ -150,7 +151,7 @@ def test_flicker_is_a_third_and_the_error_no_worse(take: Take, calm: list[Frame]
     assert np.nanmedian(calm_N) < 0.8 * np.nanmedian(N)
 
 
-def test_sigma_and_confidence_tell_what_they_say(take: Take, calm: list[Frame]) -> None:
+def test_sigma_and_confidence_tell_what_they_say(take: Take, told: list[Glimpse], calm: list[Frame]) -> None:
     """Confidence stays the share of pixels within 1 px; the standard deviation shrinks, but not as if frames erred apart."""
     true = take.px_m / np.stack(take.true_Z)
     for low, high in ((0.3, 0.6), (0.6, 0.85), (0.85, 0.95), (0.95, 1.0)):
@@ -159,34 +160,21 @@ def test_sigma_and_confidence_tell_what_they_say(take: Take, calm: list[Frame]) 
         if inside.mean() > 0.005:
             right = (np.abs(take.disparity(calm) - true)[inside] <= 1).mean()
             assert right > sure[inside].mean() - 0.1
-    frame = take.alone[5].with_passes()
-    px = np.full(frame.size_hw, 0.1, np.float32)
-    told = [replace(glimpse(p, f, px_m=take.px_m), sigma=px) for p, f in zip(take.plates, take.alone)]
-    from stereorelight.engine import temporal as engine
-
-    seen: list[np.ndarray] = []
-    real = engine.combined
-
-    def watched(*given: object, **settings: object) -> object:
-        out = real(*given, **settings)  # type: ignore[arg-type]
-        seen.append(out[1])
-        return out
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stereorelight.stereo.temporal.combined", watched)
-        steady(take, 5, told)
-    middle = float(np.nanmedian(seen[0]))
-    assert 0.1 * np.sqrt(0.4) < middle < 0.1 * np.sqrt(0.6)
+    px = np.full(take.alone[0].size_hw, 0.1, np.float32)
+    said = [replace(g, depth=g.depth.with_passes(disparity_sigma=px, Z_sigma=px * g.depth["Z"] ** 2 / take.px_m)) for g in told]
+    got = steady(5, said).frame
+    middle = float(np.nanmedian(got["disparity_sigma"]))
+    assert 0.1 * np.sqrt(0.5) < middle < 0.1 * np.sqrt(0.75)
+    np.testing.assert_allclose(got["Z_sigma"], got["disparity_sigma"] * got["Z"] ** 2 / take.px_m, rtol=1e-5)
 
 
 def test_a_cut_leaves_no_ghost(take: Take, told: list[Glimpse]) -> None:
     """Five frames, then five of another scene: nothing crosses, bit for bit."""
     other = [glimpse(np.ascontiguousarray(p[::-1, ::-1]), turned(f), px_m=take.px_m) for p, f in zip(take.plates, take.alone)]
     mixed = told[:5] + other[5:]
-    cut = replace_frames(take, [*take.alone[:5], *(turned(f) for f in take.alone[5:])])
     for t in (3, 4, 5, 6):
         side = range(5) if t < 5 else range(5, 10)
-        got, wanted = steady(cut, t, mixed), steady(cut, t, mixed, among=side)
+        got, wanted = steady(t, mixed), steady(t, mixed, among=side)
         assert set(got.frames) == {k for k in range(-2, 3) if k and t + k in side}
         for name in ("Z", "confidence", "flags"):
             assert np.array_equal(got.frame[name], wanted.frame[name], equal_nan=True)
@@ -194,10 +182,6 @@ def test_a_cut_leaves_no_ghost(take: Take, told: list[Glimpse]) -> None:
 
 def turned(frame: Frame) -> Frame:
     return Frame(passes={name: np.ascontiguousarray(a[::-1, ::-1]) for name, a in frame.items()}, camera=frame.camera)
-
-
-def replace_frames(take: Take, alone: list[Frame]) -> Take:
-    return replace(take, alone=alone)
 
 
 def texture(seed: int, h: int, w: int) -> np.ndarray:
@@ -232,9 +216,9 @@ def about(told: list[Glimpse], t: int, window: int = 2) -> dict[int, tuple[Glimp
 @pytest.mark.parametrize("step", [3, 8])
 def test_what_passes_in_front_leaves_no_ghost(step: int) -> None:
     """No pixel takes the depth of what stood there a frame before, and noise goes down on both surfaces."""
-    told, frames, true = card_over_wall(step)
+    told, _, true = card_over_wall(step)
     for t in range(5):
-        error = np.abs(1 / steadied(frames[t], told[t], about(told, t), window=2).frame["Z"] - true[t])
+        error = np.abs(1 / steadied(told[t], about(told, t), window=2).frame["Z"] - true[t])
         assert error.max() < 1  # a ghost is off by 8
         assert np.median(error) < (0.6 if t == 2 else 0.75) * np.median(np.abs(told[t].disparity - true[t]))
 
@@ -245,14 +229,14 @@ def test_guesses_give_way_to_what_neighbours_saw() -> None:
     flags, Z = frames[2]["flags"].copy(), frames[2]["Z"].copy()
     flags[4:12, 90:120], Z[4:12, 90:120] = Flag.FILLED | Flag.OCCLUDED, 1 / 7.0
     hurt = Frame(passes={"Z": Z, "confidence": np.where(flags > 0, np.float32(0.3), np.float32(0.97)), "flags": flags})
-    centre = replace(told[2], disparity=(1 / Z).astype(np.float32), flags=flags, confidence=hurt["confidence"])
-    got = steadied(hurt, centre, about(told, 2), window=2)
+    centre = replace(told[2], depth=hurt)
+    got = steadied(centre, about(told, 2), window=2)
     patch = np.s_[5:11, 91:119]
     assert (got.frame["flags"][patch] == 0).mean() > 0.98
     assert np.median(np.abs(1 / got.frame["Z"] - true[2])[patch]) < 0.1
     assert got.regained == pytest.approx((flags > 0).mean(), rel=0.05)
-    blind = [replace(g, flags=np.where(flags > 0, flags, g.flags), disparity=np.where(flags > 0, np.float32(7), g.disparity)) for g in told]
-    kept = steadied(hurt, blind[2], about(blind, 2), window=2)
+    blind = [replace(g, depth=hurt) for g in told]
+    kept = steadied(blind[2], about(blind, 2), window=2)
     assert (kept.frame["flags"][patch] == flags[patch]).all()
     assert kept.regained == 0
 
@@ -267,7 +251,7 @@ def test_a_surface_that_comes_nearer_is_where_it_is() -> None:
         frame = Frame(passes={"Z": 1 / d, "confidence": np.full((h, w), 0.97, np.float32), "flags": np.zeros((h, w), np.uint16)})
         told.append(glimpse(plate, frame, px_m=1.0))
         frames.append(frame)
-    error = 1 / steadied(frames[0], told[0], about(told, 0), window=2).frame["Z"] - 6
+    error = 1 / steadied(told[0], about(told, 0), window=2).frame["Z"] - 6
     assert abs(float(np.median(error))) < 0.02
     assert float(np.median(np.abs(error))) < 0.8 * float(np.median(np.abs(told[0].disparity - 6)))
 
@@ -277,7 +261,7 @@ def test_same_bits_whatever_the_threads(take: Take, told: list[Glimpse]) -> None
     try:
         for threads in (1, 2):
             set_threads(threads)
-            both.append(steady(take, 5, told).frame)
+            both.append(steady(5, told).frame)
     finally:
         set_threads(usable_cores())
     for name in ("Z", "confidence", "flags"):
@@ -285,8 +269,8 @@ def test_same_bits_whatever_the_threads(take: Take, told: list[Glimpse]) -> None
 
 
 def test_without_neighbours_nothing_changes(take: Take, told: list[Glimpse]) -> None:
-    assert steadied(take.alone[0], told[0], {}, window=2).frame is take.alone[0]
-    assert steady(take, 5, told, window=0).frame is take.alone[5]
+    assert steadied(told[0], {}, window=2).frame is take.alone[0]
+    assert steady(5, told, window=0).frame is take.alone[5]
 
 
 @pytest.fixture(scope="module")

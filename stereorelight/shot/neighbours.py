@@ -16,7 +16,6 @@ from stereorelight.arrays import Float32
 from stereorelight.errors import PlateError
 from stereorelight.footage.eyes import Eyes
 from stereorelight.footage.sequence import frame_range
-from stereorelight.passes import Frame
 from stereorelight.shot.pairs import Pair, read_upright, recover_pair
 from stereorelight.shot.schema import Shot
 from stereorelight.stereo.depth import Recovered
@@ -28,9 +27,8 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Alone:
-    """The depth of one frame by itself, how it was found, and what it tells its neighbours."""
+    """The depth of one frame by itself, how it was found, and what its neighbours see of it."""
 
-    frame: Frame
     figures: dict[str, Any]
     told: Glimpse
 
@@ -119,10 +117,10 @@ class Neighbours:
         def make() -> Alone:
             rectified, match_colour = self._rectified(pair), self._shot.tables.plates.match_colour
             both = plates or read_upright(pair, rectified, colour=self._shot.colour)
-            if ahead:
+            if ahead and self._eyes.left.is_movie:  # going back in a movie is dear
                 self._plates.of(pair.number, lambda: both[0])
             found = recover_pair(pair, both, rectified, settings=self._shot.depth, match_colour=match_colour)
-            return Alone(frame=found.frame, figures=search_figures(found), told=glimpse(both[0], found.frame, px_m=self._px_m))
+            return Alone(figures=search_figures(found), told=glimpse(both[0], found.frame, px_m=self._px_m))
 
         return self._alone.of(pair.number, make)
 
@@ -143,7 +141,8 @@ class Neighbours:
                 continue
         assert own is not None
         near = {k: (there.told, self._motion(pair, k, own.told, there.told)) for k, there in seen.items()}
-        made = steadied(own.frame, own.told, near, window=self.window)
+        made = steadied(own.told, near, window=self.window)
+        self._alone[pair.number] = replace(own, told=own.told.to_tell())
         return replace(made, frames=tuple(self.pairs_about(pair)[k].number or 0 for k in made.frames)), own.figures
 
     def _motion(self, pair: Pair, k: int, here: Glimpse, there: Glimpse) -> Motion:

@@ -8,12 +8,12 @@ A frame's result is a function of those frames alone, so that a shot may be cut 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from stereorelight.arrays import Bool, Float32, UInt8, UInt16
+from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.refine import robust_planes
 from stereorelight.engine.temporal import BELIEVED, FIRM, carried, combined, rates, there_and_back
 from stereorelight.engine.tone import LEVELS, levels
@@ -28,29 +28,51 @@ BEND, BEND_PX = np.ones((9, 9), np.uint8), 1.0  # motions that differ by more wi
 CUT_SHARE = 0.3  # of the frame must be found again: over a cut it is 2 to 8 %, over fast motion 70 and more
 APART_PX = 0.7  # disparities farther apart are not mixed when one is read between pixels
 OWN_VOTE = 2.0  # a frame's own value counts twice in the vote: it alone cannot have been carried wrongly
-ALIKE = 0.4  # correlation of two frames' errors, measured on synthetic shots (docs/time.md)
+ALIKE = 0.5  # correlation of two frames' errors, measured on synthetic shots (docs/time.md)
 NEAR_PX, WIDE_PX, WILD_PX = 0.5, 2.0, 4.0  # gates, see engine/temporal.combined
 SURFACE_TAU_PX = 0.5  # as in refinement: farther off a pixel's plane is another surface
 RATE_RADIUS, RATE_STRIDE = 24, 6  # a surface moves as a whole: its rate is that of a region
-RATE_DOUBT = 0.3  # of sigma: what slower rates a region's noise makes by itself
+RATE_DOUBT = 1.0  # of the rate's standard deviation were it one pixel's: slower ones are a region's noise
+TOLD = ("Z", "confidence", "flags", "disparity_sigma")  # passes that neighbours ask for
 REASONS = np.uint16(Flag.FILLED | Flag.OCCLUDED | Flag.OUT_OF_VIEW | Flag.UNMATCHED)
+LEAST_SIGMA_PX = 1e-3
 SIGMA_SURE_PX, SIGMA_UNSURE_PX = 0.06, 0.9  # of disparity at confidence 1, and added at 0, where matching does not say its own
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Glimpse:
-    """One frame by itself, as its neighbours need it; every array (H, W).
+    """One frame by itself.
 
-    grey : the plate's tone, 8 bit.    disparity : fx b / Z, px.    sigma : its standard deviation, px.
-    px_m : fx b of the rectified pair, px m.
+    grey  : (H, W) the plate's tone, 8 bit.
+    depth : Z, confidence, flags, and disparity_sigma where matching says it.
+    px_m  : fx b of the rectified pair, px m.
     """
 
     grey: UInt8
-    disparity: Float32
-    sigma: Float32
-    confidence: Float32
-    flags: UInt16
+    depth: Frame
     px_m: float
+
+    @property
+    def disparity(self) -> Float32:
+        """(H, W) fx b / Z, px, NaN where unknown: what matching errs in."""
+        return np.asarray(np.float32(self.px_m) / self.depth["Z"], np.float32)
+
+    @property
+    def sigma(self) -> Float32:
+        """(H, W) its standard deviation, px; where matching does not say it, by the confidence."""
+        told = self.depth.passes.get("disparity_sigma")
+        if told is None:
+            told = SIGMA_SURE_PX + SIGMA_UNSURE_PX * (1 - self.depth["confidence"])
+        return np.where(np.isfinite(told), np.maximum(told, LEAST_SIGMA_PX), SIGMA_SURE_PX + SIGMA_UNSURE_PX).astype(np.float32)
+
+    @property
+    def guessed(self) -> Bool:
+        """(H, W) where depth is a guess."""
+        return np.asarray((self.depth["flags"] & np.uint16(Flag.FILLED)) != 0)
+
+    def to_tell(self) -> Glimpse:
+        """The same with nothing but what neighbours ask for."""
+        return replace(self, depth=replace(self.depth, passes={k: v for k, v in self.depth.items() if k in TOLD}))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,18 +126,7 @@ def glimpse(plate: Float32, depth: Frame, *, px_m: float) -> Glimpse:
     plate : (H, W, 3) scene-linear, upright, of the eye that `depth` (Z, confidence, flags, and disparity_sigma where known) lies on.
     px_m  : fx b of the rectified pair, px m.
     """
-    confidence = depth["confidence"]
-    sigma = depth.passes.get("disparity_sigma")
-    if sigma is None:
-        sigma = SIGMA_SURE_PX + SIGMA_UNSURE_PX * (1 - confidence)
-    return Glimpse(
-        grey=_grey(plate),
-        disparity=(np.float32(px_m) / depth["Z"]).astype(np.float32),
-        sigma=np.where(np.isfinite(sigma), np.maximum(sigma, 1e-3), SIGMA_SURE_PX + SIGMA_UNSURE_PX).astype(np.float32),
-        confidence=confidence,
-        flags=depth["flags"],
-        px_m=px_m,
-    )
+    return Glimpse(grey=_grey(plate), depth=depth, px_m=px_m)
 
 
 def _with_checks(there: Float32, back: Float32, here: UInt8, other: UInt8) -> Motion:
@@ -142,20 +153,16 @@ def motion_between(a: Glimpse, b: Glimpse) -> tuple[Motion, Motion]:
     return _with_checks(there, back, here, other), _with_checks(back, there, other, here)
 
 
-def _believed(seen: Glimpse) -> Bool:
-    return (seen.flags & np.uint16(Flag.FILLED)) == 0
-
-
-def _regional(rate: Float32, weight: Float32, centre: Glimpse) -> Float32:
+def _regional(rate: Float32, weight: Float32, disparity: Float32, sigma: Float32, times: Float32) -> Float32:
     """The rate of each pixel's surface about it, none where noise alone may have made it."""
-    known = np.isfinite(centre.disparity)
-    base = np.where(known, centre.disparity, np.float32(0))
+    known = np.isfinite(disparity)
+    base = np.where(known, disparity, np.float32(0))
     planes = robust_planes(base, known.astype(np.float32), radius=6, stride=3, tau_px=SURFACE_TAU_PX, passes=1)
     weight = np.where(known, weight, np.float32(0))
     region = robust_planes(base, weight, radius=RATE_RADIUS, stride=RATE_STRIDE, tau_px=SURFACE_TAU_PX, passes=1, slopes=planes[1:], target=rate)[0]
     # Where a region has no rate, robust_planes answers with the disparity itself.
     region = np.where(np.abs(region - base) < 1e-6, np.float32(0), region)
-    doubt = (np.float32(RATE_DOUBT) * centre.sigma) ** 2
+    doubt = np.float32(RATE_DOUBT**2 / ((times - times.mean()) ** 2).sum()) * sigma**2
     return np.asarray(region * np.maximum(0, 1 - doubt / np.maximum(region * region, np.float32(1e-12))), np.float32)
 
 
@@ -170,41 +177,41 @@ def _speaking(near: Mapping[int, tuple[Glimpse, Motion]]) -> tuple[int, ...]:
     return tuple(sorted(out))
 
 
-def steadied(depth: Frame, centre: Glimpse, near: Mapping[int, tuple[Glimpse, Motion]], *, window: int) -> Steadied:
+def steadied(centre: Glimpse, near: Mapping[int, tuple[Glimpse, Motion]], *, window: int) -> Steadied:
     """The depth of a frame with the evidence of its neighbours.
 
-    depth  : Z, confidence and flags found for the frame alone; other passes stay as they are, but for disparity_sigma and Z_sigma.
-    centre : the glimpse of `depth`.       near : the neighbours by their distance in frames, each with the motion to it.
+    centre : the frame by itself.  Of its passes, Z, confidence, flags, disparity_sigma and Z_sigma change, others stay as they are.
+    near   : the neighbours by their distance in frames, each with the motion to it.
     window : the farthest distance that may speak; what is farther is left out.
     """
     frames = _speaking({k: told for k, told in near.items() if 0 < abs(k) <= window})
     if not frames:
-        return Steadied(frame=depth, frames=(), regained=0.0)
-    own_kind = np.where(_believed(centre), np.uint8(BELIEVED | FIRM), np.uint8(FIRM))
-    told = [(centre.disparity, centre.sigma, centre.confidence, own_kind)]
+        return Steadied(frame=centre.depth, frames=(), regained=0.0)
+    own_kind = np.where(centre.guessed, np.uint8(FIRM), np.uint8(BELIEVED | FIRM))
+    told = [(centre.disparity, centre.sigma, centre.depth["confidence"], own_kind)]
     for k in frames:
         seen, way = near[k]
         scale = np.float32(centre.px_m / seen.px_m)
-        value, sigma = (seen.disparity, seen.sigma) if scale == 1 else (seen.disparity * scale, seen.sigma * scale)
-        told.append(carried(value, sigma, seen.confidence, _believed(seen), way.there, way.astray, way.bent, limit=LIMIT_PX, apart=APART_PX))
+        given = (seen.disparity * scale, seen.sigma * scale, seen.depth["confidence"], ~seen.guessed)
+        told.append(carried(*given, way.there, way.astray, way.bent, limit=LIMIT_PX, apart=APART_PX))
     values, sigmas, sures, kind = (np.stack(parts) for parts in zip(*told))
     times = np.array((0, *frames), np.float32)
     # A parabola: of all windows of this length the one whose result changes least from frame to frame.
     shares = (np.float32((window + 1) ** 2) - times**2) / np.float32((window + 1) ** 2)
-    rate = _regional(*rates(values, kind, times), centre)
+    rate = _regional(*rates(values, kind, times), values[0], sigmas[0], times)
     disparity, sigma, sure, seen_by = combined(
         values, sigmas, sures, kind, times, shares, rate, own=OWN_VOTE, alike=ALIKE, near=NEAR_PX, wide=WIDE_PX, wild=WILD_PX
     )
-    return _frame(depth, centre, disparity, sigma, sure, seen_by, frames)
+    return _made(centre, disparity, sigma, sure, seen_by, frames)
 
 
-def _frame(depth: Frame, centre: Glimpse, disparity: Float32, sigma: Float32, sure: Float32, seen: Bool, frames: tuple[int, ...]) -> Steadied:
+def _made(centre: Glimpse, disparity: Float32, sigma: Float32, sure: Float32, seen: Bool, frames: tuple[int, ...]) -> Steadied:
+    depth, before = centre.depth, centre.depth["flags"]
     with np.errstate(invalid="ignore", divide="ignore"):
         Z = np.where(disparity > 0, np.float32(centre.px_m) / disparity, np.float32(np.nan)).astype(np.float32)
     known = np.isfinite(Z)
-    guess = (centre.flags & np.uint16(Flag.FILLED)) != 0
-    regained = guess & seen & known & ((centre.flags & np.uint16(Flag.BAD_PLATE)) == 0)
-    flags = np.where(regained, centre.flags & ~REASONS, centre.flags)
+    regained = centre.guessed & seen & known & ((before & np.uint16(Flag.BAD_PLATE)) == 0)
+    flags = np.where(regained, before & ~REASONS, before)
     flags = np.where(known, flags & ~np.uint16(Flag.TOO_FAR), flags)
     new = {"Z": Z, "confidence": np.where(known, sure, np.float32(0)), "flags": flags}
     if "disparity_sigma" in depth:
