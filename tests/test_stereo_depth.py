@@ -174,7 +174,7 @@ def real() -> dict[str, object]:
 
 @pytest.mark.parametrize(
     ("quality", "bad2", "bad2_all", "bad05", "normals_deg", "under"),
-    [("draft", 3.5, 7.0, 12.0, 11.0, 55), ("standard", 3.5, 7.0, 12.0, 6.5, 64), ("fine", 3.4, 6.7, 10.8, 6.0, 65)],
+    [("draft", 6.0, 9.5, 34.0, 11.0, 52), ("standard", 3.3, 6.5, 11.0, 5.0, 68), ("fine", 3.2, 6.3, 10.5, 4.7, 69)],
 )
 def test_motorcycle(real, quality, bad2, bad2_all, bad05, normals_deg, under) -> None:
     pair, d = motorcycle(), real[quality].rectified["disparity"]

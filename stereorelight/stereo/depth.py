@@ -5,7 +5,7 @@ disparity on its rectified view.  Z is the distance along the original camera's 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from stereorelight.passes import Flag, Frame
 from stereorelight.stereo import confidence as belief
 from stereorelight.stereo.colour_match import ColourMatch
 from stereorelight.stereo.colour_match import match_colour as colour_matched
+from stereorelight.stereo.draft import full_size, half_proxy, half_range, nearest
 from stereorelight.stereo.flow import flow_disparity
 from stereorelight.stereo.match import DisparityRange, Match, coarse_disparity, match, search_range
 from stereorelight.stereo.matchers import OWN, match_by, matcher_named
@@ -29,6 +30,9 @@ from stereorelight.stereo.settings import DepthSettings
 
 SMALLEST_DISPARITY_PX = 0.25  # of d + doffs: beyond it, depth is anything up to infinity
 MatchColour = Literal["off", "global", "local"]
+DRAFT_CONSISTENCY_PX = 0.75  # half-size pixels: whole-pixel matches cannot agree better
+NOISY = 3.2  # grey levels of noise from which matching is made stiffer with it
+DRAFT_SMALLEST_PX = 64  # of half a picture's side that a draft is made on
 APART_PX = 1.0  # disparities farther apart belong to two surfaces when Z is carried to the plate
 
 
@@ -57,11 +61,31 @@ class RectifiedDepth:
 
 def _matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> Match:
     if settings.matcher == OWN:
-        return match(proxy, search, exhaustive=settings.quality == "fine")
+        stiffness = float(np.clip(proxy.noise() / NOISY, 1, 2))
+        return match(proxy.calmed(), search, exhaustive=settings.quality == "fine", dense=settings.quality != "draft", stiffness=stiffness)
     return match_by(matcher_named(settings.matcher), settings.matcher.partition(":")[0], proxy, search)
 
 
+def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> RectifiedDepth:
+    """All of it at half size, the disparity carried up with the picture's edges."""
+    small = half_proxy(proxy)
+    depth = _of_pair(small, half_range(search), replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX)))
+    size = proxy.left_grey.shape
+    return RectifiedDepth(
+        refined=full_size(depth.refined, proxy),
+        confidence=np.ascontiguousarray(nearest(depth.confidence, size)),
+        flags=np.ascontiguousarray(nearest(depth.flags, size)),
+        vertical_px=depth.vertical_px,
+    )
+
+
 def disparity_of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> RectifiedDepth:
+    """Match, check, refine and judge the left eye of a rectified pair."""
+    small = min(proxy.left_grey.shape) < 2 * DRAFT_SMALLEST_PX
+    return _of_pair(proxy, search, settings) if settings.quality != "draft" or small else _draft(proxy, search, settings)
+
+
+def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> RectifiedDepth:
     """Match, check, refine and judge the left eye of a rectified pair."""
     found = _matched(proxy, search, settings)
     confirmed = consistent(found.left, found.right, within_px=settings.consistency_px)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.camera import RectifiedRig
-from stereorelight.engine.occlusion import consistent
+from stereorelight.engine.occlusion import background, consistent
 from stereorelight.errors import PlateError
 from stereorelight.stereo.proxy import Proxy
 
@@ -60,8 +60,9 @@ class Match:
     dense: Float32
 
 
-def _sgbm(search: DisparityRange, channels: int, mode: int) -> cv2.StereoSGBM:
-    return cv2.StereoSGBM_create(search.low, search.count, BLOCK, P1 * channels, P2 * channels, 1, 63, 0, SPECKLE_PX, 1, mode)
+def _sgbm(search: DisparityRange, channels: int, mode: int, stiffness: float) -> cv2.StereoSGBM:
+    step, jump = (round(p * channels * stiffness) for p in (P1, P2))
+    return cv2.StereoSGBM_create(search.low, search.count, BLOCK, step, jump, 1, 63, 0, SPECKLE_PX, 1, mode)
 
 
 def _raw(matcher: Any, picture: UInt8, other: UInt8, *, before: int, after: int) -> npt.NDArray[np.int16]:
@@ -79,30 +80,41 @@ def _as_pixels(sixteenths: np.ndarray, lowest: int) -> Float32:
     return np.where(sixteenths >= 16 * lowest, sixteenths.astype(np.float32) / 16, np.float32(np.nan))
 
 
+def everywhere(disparity: Float32) -> Float32:
+    """`disparity` with the background's value where it has none."""
+    known: Bool = np.isfinite(disparity)
+    if known.all() or not known.any():
+        return disparity
+    filled = np.where(known, disparity, np.float32(0))
+    return np.where(known, disparity, cv2.medianBlur(background(filled, known), 5))
+
+
 def match(
     proxy: Proxy,
     search: DisparityRange,
     *,
     exhaustive: bool = False,
     dense: bool = True,
+    stiffness: float = 1.0,
     wls_lambda: float = 70.0,
     wls_sigma: float = 1.5,
 ) -> Match:
     """Match both eyes by SGBM, then filter the left disparity along edges (weighted least squares, Min et al. 2014).
 
     exhaustive : eight directions of aggregation in place of three; better, slower, and much more memory.
-    dense      : filter; without it `Match.dense` is the left disparity as found.
+    stiffness  : what both penalties, of a step and of a jump, are multiplied by: more for noisy plates.
+    dense      : filter; without it `Match.dense` has the background's value where nothing was found.
     """
     left, right = proxy.left, proxy.right
     channels = left.shape[2] if left.ndim == 3 else 1
-    matcher = _sgbm(search, channels, cv2.STEREO_SGBM_MODE_HH4 if exhaustive else cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    matcher = _sgbm(search, channels, cv2.STEREO_SGBM_MODE_HH4 if exhaustive else cv2.STEREO_SGBM_MODE_SGBM_3WAY, stiffness)
     positive, negative = max(0, search.high), max(0, -search.low)
     raw_left = _raw(matcher, left, right, before=positive, after=negative)
     raw_right = _raw(cv2.ximgproc.createRightMatcher(matcher), right, left, before=negative, after=positive)
     left_px = _as_pixels(raw_left, search.low)
     right_px = -_as_pixels(raw_right, 1 - search.high)  # the right matcher counts x_right - x_left
     if not dense:
-        return Match(left=left_px, right=right_px, dense=left_px)
+        return Match(left=left_px, right=right_px, dense=everywhere(left_px))
     wls = cv2.ximgproc.createDisparityWLSFilterGeneric(True)  # not the matcher's own: that one leaves out the padded columns
     wls.setDepthDiscontinuityRadius(DISCONTINUITY_RADIUS)
     wls.setLambda(wls_lambda)

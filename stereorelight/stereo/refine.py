@@ -70,7 +70,7 @@ class Effort:
 
 
 EFFORTS = {
-    "draft": Effort(passes=1, rounds=1, steps=4),
+    "draft": Effort(passes=1, rounds=1, steps=5),
     "standard": Effort(passes=1, rounds=3, steps=8),
     "fine": Effort(passes=2, rounds=4, steps=14),
 }
@@ -207,13 +207,13 @@ def _ramps(disparity: Float32) -> UInt8:
     return (cv2.dilate(disparity, near) - cv2.erode(disparity, near) > JUMP_PX).view(np.uint8)
 
 
-def _joined(disparity: Float32, proxy: Proxy) -> Float32:
+def joined(disparity: Float32, proxy: Proxy) -> Float32:
     """`disparity` without the ramps and the fattening that matching leaves at depth edges: each pixel there joins the side it looks like."""
     zone = cv2.dilate(_ramps(disparity), np.ones((2 * FATTENING_PX + 1, 2 * FATTENING_PX + 1), np.uint8)) > 0
-    joined = joined_to_sides(disparity, zone, proxy.left, jump_px=JUMP_PX)
+    sides = joined_to_sides(disparity, zone, proxy.left, jump_px=JUMP_PX)
     # Each pixel chose for itself; the median lets an outline be a line.
-    outline = cv2.dilate(_ramps(joined), np.ones((3, 3), np.uint8)) > 0
-    return np.where(outline, cv2.medianBlur(joined, 5), joined)
+    outline = cv2.dilate(_ramps(sides), np.ones((3, 3), np.uint8)) > 0
+    return np.where(outline, cv2.medianBlur(sides, 5), sides)
 
 
 def _refilled(disparity: Float32, lost: Bool, source: Bool) -> Float32:
@@ -230,12 +230,13 @@ def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EF
     fine = _from_rows_that_match(dense, proxy)
     lost = (unseen(fine) | _out_of_range(fine, confirmed)) & ~confirmed
     # The median takes out streaks: a row whose nearest match is wrong.
-    filled = _joined(np.where(lost, cv2.medianBlur(background(fine, confirmed), 5), fine), proxy)
+    filled = joined(np.where(lost, cv2.medianBlur(background(fine, confirmed), 5), fine), proxy)
     trust = np.where(confirmed, np.float32(1), np.float32(UNSURE_TRUST))
     trust[lost] = UNSEEN_TRUST
-    planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
-    planes = blended(blended(planes, tau_px=tau_px), tau_px=tau_px)
-    surface = photometric_surface(proxy, planes[0], trust, rounds=effort.rounds, steps=effort.steps)
+    if effort.passes:
+        planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
+        filled = blended(blended(planes, tau_px=tau_px), tau_px=tau_px)[0]
+    surface = photometric_surface(proxy, filled, trust, rounds=effort.rounds, steps=effort.steps)
     disparity = _refilled(surface.disparity, lost, confirmed)
     slope_x, slope_y = slopes(disparity, cut=CUT_PX)
     sigma, slope_sigma = surface.sigma()

@@ -1,0 +1,79 @@
+"""The draft: everything at half size, then carried up along local planes, each pixel on the side of an edge that it looks like.
+
+In: a `Proxy`; a `Refined` of half its size.  Out: the half-size `Proxy`; the `Refined` at full size.  A quarter of the pixels and half
+of the disparities are an eighth of the matching."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from stereorelight.arrays import Bool, Float32
+from stereorelight.engine.bending import slopes
+from stereorelight.stereo.match import DisparityRange
+from stereorelight.stereo.proxy import Proxy
+from stereorelight.stereo.refine import CUT_PX, Refined, joined
+
+
+def half_proxy(proxy: Proxy) -> Proxy:
+    """The pair at half size, each pixel the mean of four; known where all four are."""
+    height, width = proxy.left_grey.shape
+    size = (width // 2, height // 2)
+
+    def small(a: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return np.ascontiguousarray(cv2.resize(a[: 2 * size[1], : 2 * size[0]], size, interpolation=cv2.INTER_AREA))
+
+    def known(a: Bool) -> Bool:
+        return np.ones(size[::-1], np.bool_) if a.all() else small(a.view(np.uint8) * 255) == 255
+
+    return Proxy(
+        left=small(proxy.left),
+        right=small(proxy.right),
+        left_grey=small(proxy.left_grey),
+        right_grey=small(proxy.right_grey),
+        left_known=known(proxy.left_known),
+        right_known=known(proxy.right_known),
+    )
+
+
+def half_range(search: DisparityRange) -> DisparityRange:
+    """The range in pixels of half the size."""
+    return DisparityRange.holding(search.low / 2, search.high / 2)
+
+
+def nearest(a: npt.NDArray[Any], size_hw: tuple[int, int]) -> npt.NDArray[Any]:
+    """A half-size map at full size, by the pixel that it was."""
+    return cv2.resize(a, size_hw[::-1], interpolation=cv2.INTER_NEAREST)
+
+
+def _along_planes(refined: Refined, size_hw: tuple[int, int]) -> Float32:
+    """Disparity, full-size px: each half-size pixel's plane at the four pixels that it was."""
+    h, w = (n + n % 2 for n in size_hw)
+    out = np.empty((h, w), np.float32)
+    rows, columns = refined.disparity.shape
+    across, down = 0.5 * refined.slope_x, 0.5 * refined.slope_y
+    middle = 2 * refined.disparity
+    for y, dy in ((0, -down), (1, down)):
+        for x, dx in ((0, -across), (1, across)):
+            out[y : 2 * rows : 2, x : 2 * columns : 2] = middle + dx + dy
+    out[2 * rows :] = out[2 * rows - 1]  # an odd last row or column repeats the one before
+    out[:, 2 * columns :] = out[:, 2 * columns - 1 : 2 * columns]
+    return np.ascontiguousarray(out[: size_hw[0], : size_hw[1]])
+
+
+def full_size(refined: Refined, proxy: Proxy) -> Refined:
+    """A half-size `Refined` on the full-size `proxy`."""
+    size = proxy.left_grey.shape
+    disparity = joined(_along_planes(refined, size), proxy)
+    slope_x, slope_y = slopes(disparity, cut=CUT_PX)
+    return Refined(
+        disparity=disparity,
+        slope_x=slope_x,
+        slope_y=slope_y,
+        unseen=nearest(refined.unseen.view(np.uint8), size).view(np.bool_),
+        sigma_px=2 * nearest(refined.sigma_px, size),
+        slope_sigma=nearest(refined.slope_sigma, size),
+    )
