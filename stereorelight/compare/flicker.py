@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stereorelight.arrays import Float32, Float64, as_float32
+from stereorelight.arrays import Bool, Float32, Float64, as_float32
 from stereorelight.compare.normals import angle_deg
 from stereorelight.errors import PassError
 
@@ -128,7 +128,7 @@ def residual(
     return Z_percent, N_deg
 
 
-def _figures(maps: Sequence[Float32], found: Sequence[npt.NDArray[np.bool_]]) -> Residuals:
+def _figures(maps: Sequence[Float32], found: Sequence[Bool]) -> Residuals:
     all_of = np.concatenate([m[f] for m, f in zip(maps, found)]) if maps else np.empty(0, np.float32)
     told = all_of[np.isfinite(all_of)].astype(np.float64)
     nothing = float("nan")
@@ -169,13 +169,15 @@ def flicker_figures(
             None if normals is None else as_float32(normals[k], "N", channels=3, size_hw=(size[0], size[1])),
         )
 
-    Z_maps, N_maps, found = [], [], []
+    Z_maps: list[Float32] = []
+    N_maps: list[Float32] = []
+    found: list[Bool] = []
     for k, motion in enumerate(motions):
         way = as_float32(motion, "motion", channels=2, size_hw=(size[0], size[1]))
         true = None if true_Z is None else (passes(k, true_Z, true_N), passes(k + 1, true_Z, true_N))
         Z_map, N_map = residual(passes(k, Z, N), passes(k + 1, Z, N), way, truth=true)
-        known = np.isfinite(way).all(axis=-1)
-        found.append(known if mask is None else known & np.asarray(mask[k], np.bool_))
+        judged: Bool = np.asarray(np.isfinite(way).all(axis=-1))
+        found.append(judged if mask is None else judged & np.asarray(mask[k], np.bool_))
         Z_maps.append(Z_map)
         if N_map is not None:
             N_maps.append(N_map)
