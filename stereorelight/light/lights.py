@@ -170,6 +170,8 @@ class SpotLight(PointLight):
     cone_deg           : full angle of the cone inside which it shines at full strength, in (0, 180].
     penumbra_deg       : the further angle on each side over which it falls to nothing, the paper's cone delta;
                          a smoothstep of the angle off the axis.  0 is a hard edge.
+    gobo, gobo_turn_deg: file of a picture thrown through the cone, and how far it is turned (light/gobo.py); layers are
+                         multiplied by it where they are put together, in the shot.
     """
 
     kind: ClassVar[str] = "spot"
@@ -178,9 +180,14 @@ class SpotLight(PointLight):
     penumbra_deg: float = 5.0
     aim_m: Vector | None = None
     direction: Vector | None = None
+    gobo: str | None = None
+    gobo_turn_deg: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self._number("gobo_turn_deg", low=-360, high=360)
+        if self.gobo is not None and (not isinstance(self.gobo, str) or not self.gobo):
+            raise self._error("gobo", "must be the file of a picture", repr(self.gobo))
         self._number("cone_deg", low=0.01, high=180, remedy="it is the full angle of the cone in degrees")
         self._number("penumbra_deg", low=0, high=90)
         if (self.aim_m is None) == (self.direction is None):
