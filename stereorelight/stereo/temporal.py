@@ -31,11 +31,12 @@ OWN_VOTE = 2.0  # a frame's own value counts twice in the vote: it alone cannot 
 ALIKE = 0.5  # correlation of two frames' errors, measured on synthetic shots (docs/time.md)
 NEAR_PX, WIDE_PX, WILD_PX = 0.5, 2.0, 4.0  # gates, see engine/temporal.combined
 SURFACE_TAU_PX = 0.5  # as in refinement: farther off a pixel's plane is another surface
-RATE_RADIUS, RATE_STRIDE = 24, 6  # a surface moves as a whole: its rate is that of a region
+RATE_RADIUS, RATE_STRIDE = 36, 9  # a surface moves as a whole: its rate is that of a region
 RATE_DOUBT = 0.6  # of the rate's standard deviation were it one pixel's: slower ones are a region's noise
 TOLD = ("Z", "confidence", "flags", "disparity_sigma")  # passes that neighbours ask for
 REASONS = np.uint16(Flag.FILLED | Flag.OCCLUDED | Flag.OUT_OF_VIEW | Flag.UNMATCHED)
 LEAST_SIGMA_PX = 1e-3
+LEAST_STRAY_PX = np.float32(0.03)  # a frame: rates of one surface differ by less
 SIGMA_SURE_PX, SIGMA_UNSURE_PX = 0.06, 0.9  # of disparity at confidence 1, and added at 0, where matching does not say its own
 
 
@@ -157,12 +158,20 @@ def _regional(rate: Float32, weight: Float32, disparity: Float32, sigma: Float32
     """The rate of each pixel's surface about it, none where noise alone may have made it."""
     known = np.isfinite(disparity)
     base = np.where(known, disparity, np.float32(0))
-    planes = robust_planes(base, known.astype(np.float32), radius=6, stride=3, tau_px=SURFACE_TAU_PX, passes=1)
-    weight = np.where(known, weight, np.float32(0))
-    region = robust_planes(base, weight, radius=RATE_RADIUS, stride=RATE_STRIDE, tau_px=SURFACE_TAU_PX, passes=1, slopes=planes[1:], target=rate)[0]
-    # Where a region has no rate, robust_planes answers with the disparity itself.
-    region = np.where(np.abs(region - base) < 1e-6, np.float32(0), region)
-    doubt = np.float32(RATE_DOUBT**2 / ((times - times.mean()) ** 2).sum()) * sigma**2
+    slopes = robust_planes(base, known.astype(np.float32), radius=6, stride=3, tau_px=SURFACE_TAU_PX, passes=1)[1:]
+    lever = float(((times - times.mean()) ** 2).sum())
+
+    def fitted(weight: Float32, without: Float32) -> Float32:
+        region = robust_planes(base, weight, radius=RATE_RADIUS, stride=RATE_STRIDE, tau_px=SURFACE_TAU_PX, passes=1, slopes=slopes, target=rate)[0]
+        # Where a region has no rate, robust_planes answers with the disparity itself.
+        return np.where(np.abs(region - base) < 1e-6, without, region)
+
+    weight = np.where(known, weight * weight, np.float32(0))
+    region = fitted(weight, np.zeros_like(base))
+    # Once more without the pixels whose motion met another surface.
+    stray = (rate - region) / np.maximum(4 * sigma / np.sqrt(np.maximum(weight, np.float32(0.05)) * np.float32(lever)), LEAST_STRAY_PX)
+    region = fitted(weight * np.maximum(0, 1 - stray * stray) ** 2, region)
+    doubt = np.float32(RATE_DOUBT**2 / lever) * sigma**2
     return np.asarray(region * np.maximum(0, 1 - doubt / np.maximum(region * region, np.float32(1e-12))), np.float32)
 
 
