@@ -20,7 +20,7 @@ from stereorelight.arrays import Float32
 from stereorelight.engine.rows import in_row_blocks
 
 f4 = np.float32
-SMALL = 600_000  # pixels of a picture that is not worth sharing out to threads: a pass over it takes less than a millisecond
+SMALL = 250_000  # pixels of a picture that is not worth sharing out to threads: a pass over it takes less than a millisecond
 ROWS = 40  # rows of a block
 LOOSER = 4  # how much larger a bend may be on a coarse grid before it counts as an edge: bends grow by 4 a level, steps do not
 

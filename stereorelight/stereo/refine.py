@@ -17,7 +17,7 @@ import numpy as np
 
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.bending import bend_energy, doubled, halved, plate_correction, slopes
-from stereorelight.engine.edges import joined_to_sides
+from stereorelight.engine.edges import joined_to_sides, weighed_sides
 from stereorelight.engine.occlusion import background, unseen
 from stereorelight.engine.photometric import photometric_evidence, row_splines, spline_residual
 from stereorelight.engine.refine import blended, robust_planes
@@ -75,13 +75,15 @@ EFFORTS = {
     "fine": Effort(passes=2, rounds=4, steps=14),
 }
 JUMP_PX = 1.5  # a step between neighbours that no surface worth lighting makes
+EDGE_PX = 4  # how far from a step a pixel may be on the wrong side of it
+SIDE_PX = 6  # even; how far to look for the two sides of a step
 FATTENING_PX = 3  # how far matching carries a near surface past its outline
 LOCAL = (7, 7)  # window over which a difference of brightness between the eyes is exposure, not disparity
 NOISE = (9, 9)  # window over which the noise of the pictures is measured
 NOISE_FLOOR = 0.7  # grey levels: quantisation and resampling leave no less
-UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.3
-PRIOR = 0.005  # weight of the matched disparity where the pictures say nothing, 1/px^2: its errors hang together over many pixels
-CUT_PX = 0.15  # a second difference that no surface makes: a depth edge, over which nothing binds
+UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.1
+PRIOR = 0.02  # weight of the matched disparity where the pictures say nothing, 1/px^2: its errors hang together over many pixels
+CUT_PX = 0.08  # a second difference that no surface makes: a depth edge, over which nothing binds
 LEVELS = 5
 BEND = 0.006  # px per px^2: what a surface bends by before anything is known of it
 BEND_DOUBT = 4.0  # worth of that guess, in independent measurements
@@ -216,6 +218,18 @@ def joined(disparity: Float32, proxy: Proxy) -> Float32:
     return np.where(outline, cv2.medianBlur(sides, 5), sides)
 
 
+def sided(disparity: Float32, proxy: Proxy) -> Float32:
+    """`disparity` with its edges where both pictures speak for them."""
+    ramps = _ramps(disparity)
+    zone = cv2.dilate(ramps, np.ones((2 * EDGE_PX + 1, 2 * EDGE_PX + 1), np.uint8)) > 0
+    ramp = cv2.dilate(ramps, np.ones((3, 3), np.uint8)) > 0
+    around = np.ones((2 * SIDE_PX + 1, 2 * SIDE_PX + 1), np.uint8)
+    low = cv2.erode(np.where(ramp, np.float32(1e9), disparity), around)
+    high = cv2.dilate(np.where(ramp, np.float32(-1e9), disparity), around)
+    steep = (cv2.Sobel(p, cv2.CV_32F, 1, 0, scale=1 / 8) for p in (proxy.left_grey, proxy.right_grey))
+    return weighed_sides(disparity, zone, ramp, low, high, proxy.left, proxy.right, *steep, radius_px=SIDE_PX, jump_px=JUMP_PX)
+
+
 def _refilled(disparity: Float32, lost: Bool, source: Bool) -> Float32:
     """Lost ground takes the refined background: filled from single raw matches, its rows would show as streaks."""
     return np.where(lost, cv2.medianBlur(background(disparity, source), 5), disparity)
@@ -236,6 +250,7 @@ def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EF
     if effort.passes:
         planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
         filled = blended(blended(planes, tau_px=tau_px), tau_px=tau_px)[0]
+    filled = sided(filled, proxy)
     surface = photometric_surface(proxy, filled, trust, rounds=effort.rounds, steps=effort.steps)
     disparity = _refilled(surface.disparity, lost, confirmed)
     slope_x, slope_y = slopes(disparity, cut=CUT_PX)
