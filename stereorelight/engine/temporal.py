@@ -89,19 +89,29 @@ def _carried(first, end, value, sigma, sure, believed, there, astray, bent, limi
             out_kind[y, x] = (BELIEVED if believed[yn, xn] else 0) + (0 if bent[j, i] else FIRM)
 
 
-def carried(
-    value: Float32, sigma: Float32, sure: Float32, believed: Bool, there: Float32, astray: Float32, bent: Bool, *, limit: float, apart: float
-) -> tuple[Float32, Float32, Float32, UInt8]:
-    """A neighbour's value, sigma and confidence where the motion says that each pixel has gone, and their kind; NaN where nowhere.
+def carry_into(
+    out: tuple[Float32, Float32, Float32, UInt8],
+    value: Float32,
+    sigma: Float32,
+    sure: Float32,
+    believed: Bool,
+    there: Float32,
+    astray: Float32,
+    bent: Bool,
+    *,
+    limit: float,
+    apart: float,
+) -> None:
+    """Fill `out`: a neighbour's value, sigma and confidence where the motion says that each pixel has gone, and their kind.
+
+    NaN where a pixel has gone nowhere.  It writes in place, since a window of large frames is held at once.
 
     there  : (h, w, 2) px of its own grid, which may be coarser than the frame.   astray : (h, w) its error there and back, px.
     bent   : (h, w), another motion is near.                                      limit  : of `astray`, beyond which nothing is carried.
     apart  : values farther apart are two surfaces, never mixed.
     """
-    out = (np.empty_like(value), np.empty_like(value), np.empty_like(value), np.empty(value.shape, np.uint8))
     given = (value, sigma, sure, believed, there, astray, bent, f4(limit), f4(apart), *out)
     in_row_blocks(lambda first, end: _carried(first, end, *given), value.shape[0])
-    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -15,7 +15,7 @@ import numpy as np
 
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.refine import robust_planes
-from stereorelight.engine.temporal import BELIEVED, FIRM, carried, combined, rates, there_and_back
+from stereorelight.engine.temporal import BELIEVED, FIRM, carry_into, combined, rates, there_and_back
 from stereorelight.engine.tone import LEVELS, levels
 from stereorelight.passes import Flag, Frame
 from stereorelight.stereo.proxy import HEADROOM, WHITE_QUANTILE
@@ -196,14 +196,16 @@ def steadied(centre: Glimpse, near: Mapping[int, tuple[Glimpse, Motion]], *, win
     frames = _speaking({k: told for k, told in near.items() if 0 < abs(k) <= window})
     if not frames:
         return Steadied(frame=centre.depth, frames=(), regained=0.0)
-    own_kind = np.where(centre.guessed, np.uint8(FIRM), np.uint8(BELIEVED | FIRM))
-    told = [(centre.disparity, centre.sigma, centre.depth["confidence"], own_kind)]
-    for k in frames:
+    size = (1 + len(frames), *centre.grey.shape)
+    values, sigmas, sures = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+    kind = np.empty(size, np.uint8)
+    values[0], sigmas[0], sures[0] = centre.disparity, centre.sigma, centre.depth["confidence"]
+    kind[0] = np.where(centre.guessed, FIRM, BELIEVED | FIRM)
+    for i, k in enumerate(frames, start=1):
         seen, way = near[k]
         scale = np.float32(centre.px_m / seen.px_m)
         given = (seen.disparity * scale, seen.sigma * scale, seen.depth["confidence"], ~seen.guessed)
-        told.append(carried(*given, way.there, way.astray, way.bent, limit=LIMIT_PX, apart=APART_PX))
-    values, sigmas, sures, kind = (np.stack(parts) for parts in zip(*told))
+        carry_into((values[i], sigmas[i], sures[i], kind[i]), *given, way.there, way.astray, way.bent, limit=LIMIT_PX, apart=APART_PX)
     times = np.array((0, *frames), np.float32)
     # A parabola: of all windows of this length the one whose result changes least from frame to frame.
     shares = (np.float32((window + 1) ** 2) - times**2) / np.float32((window + 1) ** 2)
