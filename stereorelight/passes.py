@@ -60,6 +60,7 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         "N": Role(3, "unit normal, scene frame of the camera, faces the camera", unit_length=True),
         "plate": Role(3, "the plate, scene-linear", colour=True),
         "beauty": Role(3, "the relit plate, scene-linear", colour=True),
+        "alpha": Role(None, "where light may fall, of light alone", low=0, high=1),
         "albedo": Role(3, "surface colour under white light of 1", colour=True),
         "occlusion": Role(None, "share of the hemisphere that is open", low=0, high=1),
         "flow": Role(2, "motion to the next frame as (x, y), pixels"),
@@ -68,6 +69,7 @@ ROLES: Mapping[str, Role] = MappingProxyType(
 PREFIXED_ROLES: Mapping[str, Role] = MappingProxyType(
     {
         "light_": Role(3, "one light's layer", colour=True),
+        "env_": Role(3, "one layer of the environment's light", colour=True),
         "matte_": Role(None, "a matte", low=0, high=1),
     }
 )

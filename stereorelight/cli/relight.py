@@ -8,6 +8,8 @@ import click
 
 from stereorelight.cli.common import FILE, force_option, frames_option, json_option, out_option, report, space_option
 
+MODES = ("add", "multiply", "light_only")  # of comp.py, which numpy comes with
+
 
 @click.command("relight")
 @click.argument("plate")
@@ -15,7 +17,11 @@ from stereorelight.cli.common import FILE, force_option, frames_option, json_opt
 @click.option("--lights", "lights_path", required=True, type=FILE, metavar="lights.toml", help="The lights: [[lights]] tables.")
 @out_option
 @click.option("--preview", metavar="FILE.png", help="Also write the relit plate as a picture to look at.")
-@click.option("--plate-gain", type=click.FloatRange(min=0), default=1.0, show_default=True, help="What is left of the plate's own light.")
+@click.option("--plate-gain", type=click.FloatRange(min=0), help="What is left of the plate's own light.  [default: the light file's, else 1]")
+@click.option("--mode", type=click.Choice(MODES), help="How light and plate come together.  [default: the light file's, else add]")
+@click.option(
+    "--fade", type=click.FloatRange(0, 1), help="Take light away where depth and normals are not trusted.  [default: the light file's, else 0]"
+)
 @click.option("--colour", type=click.Choice(["half", "float"]), default="half", show_default=True, help="Precision of the colour layers.")
 @frames_option
 @space_option
@@ -27,7 +33,9 @@ def command(
     lights_path: Path,
     out: str,
     preview: str | None,
-    plate_gain: float,
+    plate_gain: float | None,
+    mode: str | None,
+    fade: float | None,
     colour: str,
     frames: str | None,
     colour_space: str,
@@ -40,9 +48,9 @@ def command(
     """
     import numpy as np
 
+    from stereorelight.arrays import Float32
     from stereorelight.cli.common import outputs_for
     from stereorelight.cli.progress import Bar
-    from stereorelight.comp import relight
     from stereorelight.errors import PassError
     from stereorelight.footage.clip import open_clip
     from stereorelight.footage.eyes import plate_frames
@@ -50,15 +58,24 @@ def command(
     from stereorelight.footage.preview import plate_picture
     from stereorelight.footage.sequence import Sequence
     from stereorelight.footage.stills import write_still
-    from stereorelight.light.shade import light_layers
     from stereorelight.passes import Frame
+    from stereorelight.shot.lighting import lighting_of
     from stereorelight.shot.pairs import FLIPPED
-    from stereorelight.shot.schema import read_lights
+    from stereorelight.shot.schema import read_light_file
     from stereorelight.shot.steps import relight_figures
 
-    lights = read_lights(lights_path)
+    knobs = {key: value for key, value in (("plate_gain", plate_gain), ("mode", mode), ("fade", fade)) if value is not None}
+    setup = read_light_file(lights_path).with_relight(**knobs)
     pictures, surfaces = open_clip(plate, colour_space=colour_space), Sequence.parse(passes)
     numbers = plate_frames(pictures, surfaces, frames)
+    flipped = FLIPPED in read_frame(surfaces.path(numbers[0])).metadata if any(track.moving.stuck for track in setup.lights) else False
+
+    def upright(number: int | None) -> Float32:
+        light_on = pictures.read(number)
+        return np.ascontiguousarray(light_on[:, ::-1]) if flipped else light_on
+
+    lighting = lighting_of(setup, numbers=pictures.frames, plate=upright)
+    lighting.check(numbers)
     paths = outputs_for(out, numbers, force=force)
     previews = outputs_for(preview, numbers, force=force) if preview else [None] * len(numbers)
     results = []
@@ -77,14 +94,15 @@ def command(
                 raise PassError(
                     f"{surfaces.path(number)}: is {sizes[1]}, but the plate {pictures.name(number)} is {sizes[0]}; use passes of this plate"
                 )
-            layers = light_layers(frame["P"], frame["N"], light_on, lights, camera=frame.camera)
-            beauty = relight(light_on, layers, plate_gain=plate_gain)
-            relit = Frame(passes={"beauty": beauty, **layers}, camera=frame.camera, eye=frame.eye, number=number, metadata=frame.metadata)
+            camera = None if frame.camera is None else lighting.camera(frame.camera, number)
+            mattes = {name.removeprefix("matte_"): frame[name] for name in frame if name.startswith("matte_")}
+            lit = lighting.lit(number, plate=light_on, passes=frame, camera=camera, given=mattes)
+            relit = Frame(passes=lit.passes(), camera=camera, eye=frame.eye, number=number, metadata=frame.metadata)
             write_frame(path, relit, half=colour == "half", force=force, timecode=pictures.timecode(number), rate=pictures.rate)
             if picture:
-                write_still(picture, plate_picture(beauty), force=force)
-            results.append({"frame": number, "file": str(path), **relight_figures(layers, beauty)})
+                write_still(picture, plate_picture(lit.beauty), force=force)
+            results.append({"frame": number, "file": str(path), **relight_figures(lit.layers, lit.beauty)})
             bar.note(path.name, advance=1)
     first = results[0]
     where = first["file"] if len(results) == 1 else f"{len(results)} frames, first {first['file']}"
-    report({"frames": results}, f"relight: {len(lights)} lights, largest value {first['largest']} -> {where}", as_json=as_json)
+    report({"frames": results}, f"relight: {len(setup.lights)} lights, largest value {first['largest']} -> {where}", as_json=as_json)

@@ -1,7 +1,7 @@
 """Frames of passes to EXR layers and back, and Z passes of any renderer.
 
 Layers: Z; P.X P.Y P.Z; N.X N.Y N.Z; disparity.X; confidence.Y; flags.Y (the reason bits as float); flow.X flow.Y; beauty as
-bare R G B; plate.R ..; light_<name>_diffuse.R ..; matte_<name>.Y.  Data is 32-bit float, colour half.  Z in metres along
+bare R G B, its alpha as A; plate.R ..; light_<name>_diffuse.R ..; matte_<name>.Y.  Data is 32-bit float, colour half.  Z in metres along
 the optical axis; P and N in the scene frame (x right, y up, the camera looks down -z), as the header says too.
 Colour is scene-linear in the working space, which the header names with its primaries; a file of another one is converted when
 read.  Time code and rate are the header's `timeCode` and `framesPerSecond`, and `metadata["timecode"]` and `["rate"]` of a Frame."""
@@ -42,6 +42,8 @@ def channel_names(name: str) -> tuple[str, ...]:
         return ("Z",)
     if name == "beauty":
         return ("R", "G", "B")
+    if name == "alpha":
+        return ("A",)
     return tuple(f"{name}.{letter}" for letter in LETTERS.get(name, "RGB" if role.colour else "Y"))
 
 
@@ -159,7 +161,9 @@ def _cleaned(name: str, a: Float32) -> Array:
         return a
     a = np.where(np.isinf(a), np.float32(np.nan), a)
     with np.errstate(invalid="ignore"):
-        if name == "Z":
+        if name == "alpha":
+            a = np.clip(a, 0, 1)
+        elif name == "Z":
             a = np.where((a < np.finfo(np.float32).tiny) | (a >= BACKGROUND_M), np.float32(np.nan), a)
         elif name == "N":
             length = np.linalg.norm(a, axis=-1, keepdims=True)
@@ -184,7 +188,8 @@ def read_frame(path: str | Path, *, layers: Mapping[str, str] | None = None, vie
     for part in parts:
         for channel in part.channels:
             layer = channel.rpartition(".")[0]
-            name = layer or ("Z" if channel == "Z" else "beauty")
+            # A renderer's alpha is of its own picture; only ours says where light may fall.
+            name = layer or {"Z": "Z", "A": "alpha" if f"{OURS}axes" in own_words else "beauty"}.get(channel, "beauty")
             try:
                 names = _found(parts, channel_names(name))
             except PassError:

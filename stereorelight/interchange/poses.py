@@ -62,7 +62,7 @@ class Poses:
             have = sorted(self.frames)
             span = f"{have[0]}" if len(have) == 1 else f"{len(have)} frames, {have[0]} to {have[-1]}"
             what = "a picture without a number" if frame is None else f"frame {frame}"
-            raise RigError(f"{self.name}: has no pose for {what}; it has {span}: export the camera on every frame, or shift it by first_frame")
+            raise RigError(f"{self.name}: has no pose for {what}; it has {span}: export the camera on every frame, or shift it by shift_frames")
         return self.frames[frame]
 
     def shifted(self, by: int) -> Poses:

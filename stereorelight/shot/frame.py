@@ -12,11 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from stereorelight.arrays import Float32
 from stereorelight.errors import OutputError
 from stereorelight.footage.eyes import Eyes
 from stereorelight.footage.preview import depth_range
 from stereorelight.interchange.rigs import files_of, read_rig, rig_to_dict
 from stereorelight.shot.job import FrameJob
+from stereorelight.shot.lighting import Lighting, lighting_of
 from stereorelight.shot.mend import MendedRectification, Mends
 from stereorelight.shot.neighbours import Neighbours
 from stereorelight.shot.pairs import EYES, Pair, eyes_of_shot, pairs_of
@@ -70,6 +72,30 @@ class Prepared:
         return Neighbours(self.shot, self.eyes, self.rigs.of, rig.left.fx * rig.baseline_m)
 
     @functools.cached_property
+    def whole(self) -> tuple[Pair, ...]:
+        """Every pair of the shot, not only those that are run."""
+        return self.pairs if self.pairs[0].number is None else pairs_of(eyes_of_shot(self.shot))
+
+    @functools.cached_property
+    def lighting(self) -> Lighting:
+        """What lights every frame; it keeps the points that it has tracked so far."""
+        tracked = any(track.moving.stuck for track in self.shot.setup.lights)
+        pairs = {pair.number: pair for pair in (self.whole if tracked else self.pairs) if pair.number is not None}
+
+        def plate(number: int) -> Float32:
+            pair = pairs[number]
+            return FrameJob(shot=self.shot, rectification=self.rigs.of(pair), pair=pair).plate
+
+        return lighting_of(
+            self.shot.setup,
+            numbers=list(pairs),
+            plate=plate,
+            digest=lambda number: pairs[number].digest("left"),
+            colour=self.shot.colour,
+            rig=self.rectification.original,
+        )
+
+    @functools.cached_property
     def repairs(self) -> Repairs | None:
         """What the shot file repairs, for every frame; it keeps what it has carried so far."""
         if not self.shot.tables.repairs:
@@ -78,8 +104,7 @@ class Prepared:
         def job(pair: Pair) -> FrameJob:
             return FrameJob(shot=self.shot, rectification=self.rigs.of(pair), pair=pair)
 
-        whole = self.pairs if self.pairs[0].number is None else pairs_of(eyes_of_shot(self.shot))
-        return Repairs(shot=self.shot, whole=whole, plate=lambda pair: job(pair).plate, depth=lambda pair: job(pair).recovered()["Z"])
+        return Repairs(shot=self.shot, whole=self.whole, plate=lambda pair: job(pair).plate, depth=lambda pair: job(pair).recovered()["Z"])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +136,7 @@ def prepare(path: str | Path, frames: str | None = None) -> Prepared:
     )
     if ready.repairs is not None:
         ready.repairs.check()
+    ready.lighting.check([pair.number for pair in ready.pairs])
     return ready
 
 
@@ -119,7 +145,8 @@ def _key(step: Step, job: FrameJob, keys: dict[str, str], sources: dict[str, Any
     upstream = {name: keys[name] for name in step.after}
     inputs = sources if step.sources else {}
     look = [job.preview_range_m, job.path("previews").name] if step.ranged else None
-    return digest(step.name, upstream, inputs, step.settings(job.shot), code_digest(*step.rooms), dict(versions()), look)
+    own = step.inputs(job)
+    return digest(step.name, upstream, inputs, step.settings(job.shot), code_digest(*step.rooms), dict(versions()), look, own)
 
 
 def _preview_range(job: FrameJob, noted: dict[str, Any], range_key: str, note: Note) -> tuple[float, float]:
@@ -162,7 +189,7 @@ def run_frame(
     noted : the preview range of run.json, {} where none is known; `note` is told when it is measured.
     """
     shot = ready.shot
-    job = FrameJob(shot=shot, rectification=ready.rigs.of(pair), pair=pair, repairs=ready.repairs, near=ready.near)
+    job = FrameJob(shot=shot, rectification=ready.rigs.of(pair), pair=pair, repairs=ready.repairs, near=ready.near, lighting=ready.lighting)
     receipt = Receipt(job.receipt_path, shot.folder)
     sources: dict[str, Any] = {"left": pair.digest("left"), "right": pair.digest("right"), "rig": _rig_key(ready, pair)}
     if about := ready.near.inputs_about(pair):

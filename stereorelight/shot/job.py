@@ -12,12 +12,11 @@ from typing import Any
 from stereorelight import __version__
 from stereorelight.arrays import Float32
 from stereorelight.camera import Camera
-from stereorelight.comp import relight
 from stereorelight.errors import PassError
 from stereorelight.footage.frames import read_frame, write_frame
-from stereorelight.light.shade import light_layers
 from stereorelight.passes import Frame
 from stereorelight.shot.depths import surface_of
+from stereorelight.shot.lighting import Lighting, Lit
 from stereorelight.shot.neighbours import Neighbours, search_figures
 from stereorelight.shot.pairs import Pair, flip_word, read_upright, recover_pair
 from stereorelight.shot.repairs import Repairs
@@ -33,6 +32,7 @@ class FrameJob:
     """What the steps of one frame share.
 
     preview_range_m : nearest and farthest distance of the depth previews, the same for the whole shot.
+    lighting        : what lights it; the shot file's lights alone where None.
     near            : the frames about it, which steady its depth; None where it stands alone.
     """
 
@@ -43,6 +43,7 @@ class FrameJob:
     search_figures: dict[str, Any] = field(default_factory=dict)
     repairs: Repairs | None = None
     near: Neighbours | None = None
+    lighting: Lighting | None = None
 
     def path(self, kind: str, suffix: str = "exr", *, what: str = "") -> Path:
         """NAME[.what][.frame].suffix in the folder of that kind."""
@@ -148,11 +149,17 @@ class FrameJob:
         return replace(read_frame(self.passes_path, colour=self.shot.colour), camera=self.camera)
 
     @cached_property
-    def layers(self) -> dict[str, Float32]:
-        """Every light's diffuse and specular layer; albedo is the plate."""
-        return light_layers(self.surface["P"], self.surface["N"], self.plate, self.shot.lights, camera=self.camera)
+    def lights(self) -> Lighting:
+        """What lights it."""
+        return self.lighting or Lighting(setup=self.shot.setup, colour=self.shot.colour, rig=self.rectification.original)
 
     @cached_property
-    def beauty(self) -> Float32:
-        """The relit plate."""
-        return relight(self.plate, self.layers, plate_gain=self.shot.tables.relight.plate_gain)
+    def posed_camera(self) -> Camera:
+        """The camera where it stands on this frame."""
+        return self.lights.camera(self.camera, self.pair.number)
+
+    @cached_property
+    def lit(self) -> Lit:
+        """Every light's own layers, the relit plate, and what goes with it."""
+        more = {"confidence": self.depth["confidence"]} if self.shot.tables.relight.fade > 0 and "confidence" in self.depth else {}
+        return self.lights.lit(self.pair.number, plate=self.plate, passes={**self.surface, **more}, camera=self.posed_camera)

@@ -69,20 +69,23 @@ def position_picture(P: Float32, camera: Camera, *, far_m: float) -> UInt8:
 
 def relit_names(shot: Shot) -> list[str]:
     """The names of `relit_pictures`."""
-    return [*(LIGHT + light.name for light in shot.lights if light.enabled), "relit", "before_after", "contact"]
+    trust = ["trust"] if shot.tables.relight.fade > 0 else []
+    return [*(LIGHT + track.name for track in shot.setup.lights if track.enabled), *trust, "relit", "before_after", "contact"]
 
 
 def relit_pictures(job: FrameJob) -> dict[str, UInt8]:
     """Each light alone (diffuse and specular), the relit plate, before and after, and everything on one sheet."""
     made: dict[str, UInt8] = {}
-    for light in job.shot.lights:
-        if light.enabled:
-            parts = [layer for name, layer in job.layers.items() if name.rpartition("_")[0] == LIGHT + light.name]
-            made[LIGHT + light.name] = shown(np.sum(parts, axis=0, dtype=np.float32), job.shot)
-    made["relit"] = shown(job.beauty, job.shot)
+    for track in job.shot.setup.lights:
+        if track.enabled:
+            parts = [layer for name, layer in job.lit.layers.items() if name.rpartition("_")[0] == LIGHT + track.name]
+            made[LIGHT + track.name] = shown(np.sum(parts, axis=0, dtype=np.float32), job.shot)
+    if job.lit.trust is not None:
+        made["trust"] = preview.confidence_picture(job.lit.trust)
+    made["relit"] = shown(job.lit.beauty, job.shot)
     scene = scene_pictures(job)
     made["before_after"] = preview.before_after(scene["plate"], made["relit"])
     sheet = [("plate", scene["plate"]), ("relit", made["relit"]), *((n, p) for n, p in scene.items() if n != "plate")]
-    sheet += [(n, p) for n, p in made.items() if n.startswith(LIGHT)]
+    sheet += [(n, p) for n, p in made.items() if n.startswith(LIGHT) or n == "trust"]
     made["contact"] = preview.contact_sheet(sheet, columns=3, width=CELL_PX)
     return made

@@ -10,7 +10,7 @@ import re
 import tomllib
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -21,7 +21,8 @@ from stereorelight.errors import ShotError, StereoRelightError, nearest_hint
 from stereorelight.footage.clip import PACKED, is_movie
 from stereorelight.footage.colour import ColourSettings, check_colour, checked_display, working_space
 from stereorelight.footage.sequence import frame_range
-from stereorelight.light.lights import Light, lights_from_dicts
+from stereorelight.light.lights import Light
+from stereorelight.shot.setup import CameraTable, RelightTable, Setup, checked_setup
 from stereorelight.stereo.matchers import check_matcher, from_folder
 from stereorelight.stereo.settings import DepthSettings
 
@@ -95,10 +96,6 @@ class RepairTable(Table):
     depth: str | None = Field(default=None, min_length=1)
 
 
-class RelightTable(Table):
-    plate_gain: float = Field(default=1.0, ge=0)
-
-
 class OutputTable(Table):
     folder: str = Field(default="out", min_length=1)
     name: str | None = Field(default=None, pattern=NAME)
@@ -118,13 +115,18 @@ class ShotTables(Table):
     depth: DepthTable = DepthTable()
     repairs: list[RepairTable] = []
     surface: SurfaceTable = SurfaceTable()
+    camera: CameraTable | None = None
     relight: RelightTable = RelightTable()
     lights: list[dict[str, Any]] = []
+    mattes: list[dict[str, Any]] = []
     output: OutputTable = OutputTable()
 
 
 class LightTables(Table):
     lights: list[dict[str, Any]]
+    mattes: list[dict[str, Any]] = []
+    camera: CameraTable | None = None
+    relight: RelightTable = RelightTable()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,14 +137,19 @@ class Shot:
     tables : the file's tables with defaults filled in.
     depth  : the settings of depth recovery.
     colour : the working space, the OpenColorIO config, and the view of the previews.
-    lights : the lights, in the file's order, those that are off included.
+    setup  : the lights, in the file's order, those that are off included; their mattes, the camera's poses, the comp.
     """
 
     path: Path
     tables: ShotTables
     depth: DepthSettings
     colour: ColourSettings
-    lights: tuple[Light, ...]
+    setup: Setup
+
+    @property
+    def lights(self) -> tuple[Light, ...]:
+        """The lights at their first keys."""
+        return tuple(track.first for track in self.setup.lights)
 
     def resolved(self, text: str) -> Path:
         """`text` as a path from the shot file's folder."""
@@ -263,21 +270,6 @@ def _checked_tables(path: Path, model: type[T]) -> tuple[T, dict[tuple[str | int
         raise ShotError(f"{_where(path, lines, tuple(first['loc']))}: {_explained(first, model)}") from None
 
 
-def _checked_lights(path: Path, tables: list[dict[str, Any]], lines: dict[tuple[str | int, ...], int]) -> tuple[Light, ...]:
-    """The lights of a file; a complaint names the line of the key that it speaks of, or of the light."""
-    for index, table in enumerate(tables):
-        try:
-            lights_from_dicts([table])
-        except StereoRelightError as error:
-            key = next((k for k in table if re.search(rf"\b{re.escape(k)}\b", str(error))), None)
-            loc = ("lights", index) if key is None else ("lights", index, key)
-            raise ShotError(f"{_where(path, lines, loc)}: {error}") from None
-    try:
-        return tuple(lights_from_dicts(tables))
-    except StereoRelightError as error:
-        raise ShotError(f"{path}: {error}") from None
-
-
 def _checked_colour(path: Path, tables: ShotTables, lines: dict[tuple[str | int, ...], int]) -> ColourSettings:
     """The colour settings; every name in them and of the plates is known to the config."""
     told = tables.colour
@@ -301,11 +293,23 @@ def _checked_colour(path: Path, tables: ShotTables, lines: dict[tuple[str | int,
     return colour
 
 
-def read_lights(path: str | Path) -> tuple[Light, ...]:
-    """The lights in a file that holds [[lights]] and nothing else.  Raises ShotError naming file and line."""
+def read_light_file(path: str | Path) -> Setup:
+    """A file that holds [[lights]], and perhaps [[mattes]], [camera] and [relight].  Raises ShotError naming file and line."""
     path = Path(path)
     tables, lines = _checked_tables(path, LightTables)
-    return _checked_lights(path, tables.lights, lines)
+    return _setup(path, tables, lines, given=None)
+
+
+def _setup(path: Path, tables: LightTables | ShotTables, lines: dict[tuple[str | int, ...], int], given: Sequence[str] | None = ()) -> Setup:
+    def where(loc: tuple[str | int, ...]) -> str:
+        return _where(path, lines, loc)
+
+    return checked_setup(path, where, lights=tables.lights, mattes=tables.mattes, camera=tables.camera, relight=tables.relight, given=given)
+
+
+def read_lights(path: str | Path) -> tuple[Light, ...]:
+    """The lights of a light file, at their first keys.  Raises ShotError naming file and line."""
+    return tuple(track.first for track in read_light_file(path).lights)
 
 
 def read_shot(path: str | Path) -> Shot:
@@ -331,4 +335,4 @@ def read_shot(path: str | Path) -> Shot:
     if output.preview_near_m and output.preview_far_m and output.preview_near_m >= output.preview_far_m:
         where = _where(path, lines, ("output", "preview_near_m"))
         raise ShotError(f"{where}: output.preview_near_m must be less than preview_far_m, got {output.preview_near_m:g} and {output.preview_far_m:g}")
-    return Shot(path=path, tables=tables, depth=depth, colour=colour, lights=_checked_lights(path, tables.lights, lines))
+    return Shot(path=path, tables=tables, depth=depth, colour=colour, setup=_setup(path, tables, lines))

@@ -15,7 +15,6 @@ import numpy as np
 from stereorelight.arrays import Float32, UInt8
 from stereorelight.footage.colour import config_digest
 from stereorelight.footage.stills import write_still
-from stereorelight.light.lights import to_dict
 from stereorelight.passes import Flag, Frame
 from stereorelight.shot.job import FrameJob
 from stereorelight.shot.pictures import relit_names, relit_pictures, scene_names, scene_pictures
@@ -61,6 +60,7 @@ class Step:
     rooms    : the code that makes its result.        settings : the plain values of the shot file that it reads.
     files    : what it writes for a frame.            make     : makes the result, and what writes it.
     wanted   : whether the shot asks for it.          ranged   : whether it reads the shot's preview range.
+    inputs   : plain values of the frame that it reads beyond the plates, such as digests of files.
     """
 
     name: str
@@ -71,6 +71,7 @@ class Step:
     files: Callable[[FrameJob], list[Path]]
     make: Callable[[FrameJob], Made]
     wanted: Callable[[Shot], bool] = lambda shot: True
+    inputs: Callable[[FrameJob], Any] = lambda job: None
     ranged: bool = False
 
 
@@ -121,10 +122,9 @@ def _make_passes(job: FrameJob) -> Made:
 
 def _make_relit(job: FrameJob) -> Made:
     half = job.shot.tables.output.colour == "half"
-    frame = Frame(
-        passes={"beauty": job.beauty, **job.layers}, camera=job.camera, number=job.pair.number, metadata=job.words("relight") | job.source_words
-    )
-    return Made(relight_figures(job.layers, job.beauty), lambda: job.write(job.relit_path, frame, half=half))
+    metadata = job.words("relight") | job.source_words
+    frame = Frame(passes=job.lit.passes(), camera=job.posed_camera, number=job.pair.number, metadata=metadata)
+    return Made(relight_figures(job.lit.layers, job.lit.beauty), lambda: job.write(job.relit_path, frame, half=half))
 
 
 def _make_pictures(job: FrameJob, made: Mapping[str, UInt8]) -> Made:
@@ -155,8 +155,9 @@ STEPS: tuple[Step, ...] = (
     Step(
         name="relight",
         after=("passes",),
-        rooms=("light", "comp.py", "footage", "engine", "shot/job.py"),
-        settings=lambda shot: [[to_dict(light) for light in shot.lights], shot.tables.relight.model_dump(), shot.tables.output.colour],
+        rooms=("light", "comp.py", "footage", "engine", "interchange", "stereo/carry.py", "shot/job.py", "shot/lighting.py", "shot/points.py"),
+        settings=lambda shot: [shot.setup.tables(), shot.tables.output.colour],
+        inputs=lambda job: job.lights.key(job.pair.number),
         files=lambda job: [job.relit_path],
         make=_make_relit,
     ),

@@ -1,0 +1,269 @@
+"""A frame under the lights of its shot: lights by keys and by picture points, mattes, gobos, poses, and the comp.
+
+In: a `Setup`, and a frame's plate, passes and camera.  Out: a `Lit`: every layer, the relit plate, alpha and trust.
+Everything lies on the upright left plate; mattes from files are painted on that too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stereorelight.arrays import Float32
+from stereorelight.camera import Camera, Rig
+from stereorelight.comp import faded, light_alpha, relight, trust
+from stereorelight.errors import PassError, PlateError, ShotError, nearest_hint
+from stereorelight.footage.colour import ColourSettings
+from stereorelight.footage.exr import find_channel, read_exr
+from stereorelight.footage.plates import read_plate
+from stereorelight.footage.sequence import Sequence as Pattern
+from stereorelight.footage.stills import read_still
+from stereorelight.interchange.poses import Poses, of_left_eye, read_poses
+from stereorelight.light.animate import LightTrack, Stuck
+from stereorelight.light.checks import Vector
+from stereorelight.light.gobo import gobo_factor
+from stereorelight.light.lights import Light, SpotLight
+from stereorelight.light.mattes import FileMatte, matte_arrays
+from stereorelight.light.place import place_of
+from stereorelight.light.shade import light_layers
+from stereorelight.shot.points import Points
+from stereorelight.shot.receipt import file_digest
+from stereorelight.shot.setup import Setup
+
+Array = npt.NDArray[Any]
+NEARLY = 0.01  # filters in other packages leave mattes a hair beyond 0 and 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lit:
+    """A frame under its lights.
+
+    layers : every light's own, the same names on every frame.     beauty : the relit plate, or light alone.
+    alpha  : of light alone, else None.                            trust  : what light was faded by, else None.
+    """
+
+    layers: dict[str, Float32]
+    beauty: Float32
+    alpha: Float32 | None = None
+    trust: Float32 | None = None
+
+    def passes(self) -> dict[str, Float32]:
+        """All of it as passes of a file."""
+        more = {"alpha": self.alpha, "matte_trust": self.trust}
+        return {"beauty": self.beauty, **{name: array for name, array in more.items() if array is not None}, **self.layers}
+
+
+def matte_channel(path: Path, channel: str | None) -> Float32:
+    """(H, W) of a picture's channel, 0..1.  Raises PlateError naming file and channels.
+
+    channel : None takes a layer `matte_*` or the alpha where there is one, else the mean of the picture.
+    """
+    if path.suffix.lower() == ".exr":
+        parts = read_exr(path)
+        names = list(dict.fromkeys(name for part in parts for name in part.channels))
+        wanted = [channel, *(f"{channel}.{letter}" for letter in "YARVX")] if channel else [*(n for n in names if n.startswith("matte_")), "A", "Y"]
+        found = next((plane for name in wanted if (plane := find_channel(parts, name)) is not None), None)
+        if found is None and not channel and {"R", "G", "B"} <= set(names):
+            colours = [plane for letter in "RGB" if (plane := find_channel(parts, letter)) is not None]
+            found = np.stack(colours).mean(axis=0)
+    else:
+        still = read_still(path)
+        planes = {**dict(zip("RGB", np.moveaxis(still.rgb, -1, 0))), **({} if still.alpha is None else {"A": still.alpha})}
+        names = list(planes)
+        found = planes.get(channel) if channel else planes.get("A", still.rgb.mean(axis=-1))
+    if found is None:
+        told = (
+            f"has no channel {channel!r}{nearest_hint(channel, names)}"
+            if channel
+            else f"has no matte, only {', '.join(names[:12])}; name its channel"
+        )
+        raise PlateError(f"{path}: {told}")
+    with np.errstate(invalid="ignore"):
+        near = np.where((found > -NEARLY) & (found < 1 + NEARLY), np.clip(found, 0, 1), found)
+    return np.ascontiguousarray(near, dtype=np.float32)
+
+
+@dataclass(kw_only=True, eq=False)
+class Lighting:
+    """What lights the frames of a shot.
+
+    colour : of the plates; gobos are read into the same working space.      rig : for poses of the right eye.
+    points : the picture points that lights go with; without it only those that are not tracked.
+    digest : sha256 of a frame's left plate, for the keys of tracked points.
+    """
+
+    setup: Setup
+    colour: ColourSettings | None = None
+    rig: Rig | None = None
+    points: Points | None = None
+    digest: Callable[[int], str] | None = None
+    _gobos: dict[Path, Float32] = field(default_factory=dict)
+
+    @cached_property
+    def poses(self) -> Poses | None:
+        """Where the camera stands; None at the origin of the world.  Raises RigError."""
+        told = self.setup.camera
+        if told is None:
+            return None
+        return read_poses(self.setup.resolved(told.file), unit_m=told.unit_m, order=told.rotation_order).shifted(told.shift_frames)
+
+    def camera(self, camera: Camera, number: int | None) -> Camera:
+        """`camera` where it stands on frame `number`.  Raises RigError."""
+        if self.poses is None or self.setup.camera is None:
+            return camera
+        return replace(camera, world_from_camera=of_left_eye(self.poses.at(number), self.setup.camera.eye, self.rig))
+
+    def check(self, numbers: Sequence[int | None]) -> None:
+        """What would stop a run on any of these frames, before any work.  Raises ShotError, PlateError, RigError."""
+        for number in numbers:
+            for track in self.setup.lights:
+                try:
+                    track.at(number)
+                except ShotError as error:
+                    raise ShotError(f"{self.setup.path}: {error}") from None
+            self.setup.mattes_at(number)
+            if self.poses is not None:
+                self.poses.at(number)
+            for file in self._files(number):
+                if not file.is_file():
+                    raise PlateError(f"{file}: file missing; {self.setup.path} names it as a matte or a gobo")
+        for track, stuck in self._stuck():
+            known = None if self.points is None else self.points.numbers
+            if stuck.frame is not None and known is not None and stuck.frame not in known:
+                have = f"{known[0]}-{known[-1]}" if known else "a single picture, without numbers: leave frame out"
+                raise ShotError(f"{self.setup.path}: light {track.name!r}: frame {stuck.frame} of its pixel is not in the shot, which has {have}")
+
+    def _stuck(self) -> list[tuple[LightTrack, Stuck]]:
+        return [(track, stuck) for track in self.setup.lights for stuck in track.moving.stuck.values()]
+
+    def _path(self, text: str, number: int | None) -> Path:
+        return Pattern.parse(self.setup.resolved(text), must_exist=False).path(number)
+
+    def _files(self, number: int | None) -> list[Path]:
+        """The mattes and gobos of a frame."""
+        names = [matte.file for matte in self.setup.mattes_at(number) if isinstance(matte, FileMatte)]
+        lights = [track.at(number) for track in self.setup.lights]
+        names += [light.gobo for light in lights if isinstance(light, SpotLight) and light.enabled and light.gobo]
+        return [self._path(name, number) for name in dict.fromkeys(names)]
+
+    def key(self, number: int | None) -> Any:
+        """Plain values that stand for all that the light of a frame depends on beyond the shot file; None where there is nothing."""
+        files = [file_digest(file) for file in self._files(number)]
+        pose = None if self.poses is None else self.poses.at(number).tolist()
+        ways = []
+        for track, stuck in self._stuck():
+            if self.points is not None and self.digest is not None and not track.dark(number):
+                ways.append([self.digest(n) for n in self.points.way(stuck, number)])
+        return [files, pose, ways] if files or pose or any(ways) else None
+
+    def lights(self, number: int | None, P: Array, camera: Camera | None) -> list[Light]:
+        """The lights of a frame.  Raises ShotError naming light and frame."""
+        found = []
+        for track in self.setup.lights:
+
+            def place(stuck: Stuck, space: str, track: LightTrack = track) -> Vector:
+                try:
+                    pixel = stuck.pixel if self.points is None else self.points.at(stuck, number)
+                    return place_of(stuck, P, pixel, space, np.eye(4) if camera is None else camera.world_from_camera)
+                except ShotError as error:
+                    where = "" if number is None else f" on frame {number}"
+                    raise ShotError(f"{self.setup.path}: light {track.name!r}{where}: {error}") from None
+
+            try:
+                # A light that is dark here has no need of a place, so a point may leave the picture then.
+                found.append(track.at(number, None if track.dark(number) else place))
+            except ShotError as error:
+                raise error if str(error).startswith(str(self.setup.path)) else ShotError(f"{self.setup.path}: {error}") from None
+        return found
+
+    def mattes(
+        self, number: int | None, passes: Mapping[str, Array], camera: Camera | None, given: Mapping[str, npt.ArrayLike] | None = None
+    ) -> dict[str, Float32]:
+        """The mattes of a frame by name.  Raises ShotError, PlateError, PassError."""
+        size_hw = passes["P"].shape[:2]
+
+        def read(matte: FileMatte) -> Float32:
+            path = self._path(matte.file, number)
+            array = matte_channel(path, matte.channel)
+            if array.shape != size_hw:
+                size = f"{array.shape[1]}x{array.shape[0]}"
+                raise PlateError(f"{path}: matte {matte.name!r} is {size} pixels, the plate {size_hw[1]}x{size_hw[0]}; make it on the plate")
+            return array
+
+        try:
+            return matte_arrays(self.setup.mattes_at(number), passes, camera=camera, read=read, given=given)
+        except (PassError, ShotError) as error:
+            raise type(error)(f"{self.setup.path}: {error}") from None
+
+    def _thrown(self, layers: dict[str, Float32], light: Light, number: int | None, P: Array, camera: Camera | None) -> dict[str, Float32]:
+        """`layers` with a spot's own through its gobo."""
+        own = {name: layer for name, layer in layers.items() if name.rpartition("_")[0] == f"light_{light.name}"}
+        if not (isinstance(light, SpotLight) and light.gobo and light.enabled):
+            return layers
+        path = self._path(light.gobo, number)
+        if path not in self._gobos:
+            self._gobos[path] = np.maximum(read_plate(path, colour=self.colour), 0)
+        return layers | faded(own, gobo_factor(P, light, self._gobos[path], camera=camera))
+
+    def lit(
+        self,
+        number: int | None,
+        *,
+        plate: Float32,
+        passes: Mapping[str, Array],
+        camera: Camera | None,
+        given: Mapping[str, npt.ArrayLike] | None = None,
+    ) -> Lit:
+        """The frame under its lights.
+
+        plate  : (H, W, 3), upright.      passes : P, N; Z, confidence and N_sigma as far as there are any.
+        camera : as posed by `camera`; None where nobody knows.    given  : mattes from elsewhere, by name.
+        Raises : ShotError, PassError, PlateError, RigError.
+        """
+        knobs = self.setup.relight
+        P, N = passes["P"], passes["N"]
+        lights = self.lights(number, P, camera)
+        mattes = self.mattes(number, passes, camera, given)
+        albedo = np.ones_like(plate) if knobs.mode == "multiply" else plate
+        layers = light_layers(P, N, albedo, lights, mattes=mattes, camera=camera)
+        for light in lights:
+            layers = self._thrown(layers, light, number, P, camera)
+        for name in self.setup.layer_names():
+            if name not in layers:  # a highlight that is at 0 on this frame alone
+                layers[name] = np.zeros_like(plate)
+        trusted = None
+        if knobs.fade > 0:
+            trusted = trust(
+                passes.get("confidence"),
+                passes.get("N_sigma"),
+                fade=knobs.fade,
+                full_confidence=knobs.fade_confidence,
+                most_sigma_deg=knobs.fade_sigma_deg,
+            )
+            layers = faded(layers, trusted)
+        alpha = None
+        if knobs.mode == "light_only":
+            shining = [light for light in lights if light.enabled]
+            alpha = light_alpha(N, [None if light.matte is None else mattes[light.matte] for light in shining], trust=trusted)
+        beauty = relight(plate, layers, plate_gain=knobs.plate_gain, mode=knobs.mode)
+        return Lit(layers=layers, beauty=beauty, alpha=alpha, trust=trusted)
+
+
+def lighting_of(
+    setup: Setup,
+    *,
+    numbers: Sequence[int],
+    plate: Callable[[int], Float32],
+    digest: Callable[[int], str] | None = None,
+    colour: ColourSettings | None = None,
+    rig: Rig | None = None,
+) -> Lighting:
+    """The lighting of a shot whose frames are `numbers`, with their upright left plates for the points that lights go with."""
+    stuck = [stuck for track in setup.lights for stuck in track.moving.stuck.values()]
+    points = Points(stuck=stuck, numbers=sorted(numbers), plate=plate) if stuck else None
+    return Lighting(setup=setup, colour=colour, rig=rig, points=points, digest=digest)
