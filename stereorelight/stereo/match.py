@@ -26,6 +26,7 @@ TEXTURE = 1.0  # grey levels a pixel: ground plainer than this proves nothing
 FEWEST_MATCHES = 0.2  # share of textured ground that both eyes must confirm; noise against noise gives less than a tenth
 BLOCK = 3
 DISCONTINUITY_RADIUS = 2  # px about a jump in which the filter trusts nothing
+MOST_CELLS = 400_000_000  # pixels times disparities that eight directions are kept for, at about 4 bytes each
 SPECKLE_PX = 60  # an island of disparity smaller than this is a wrong match
 P1, P2 = 2 * BLOCK**2, 12 * BLOCK**2  # penalties of a step by one and of a jump, per channel: lower than usual, since planes smooth later
 
@@ -101,13 +102,15 @@ def match(
 ) -> Match:
     """Match both eyes by SGBM, then filter the left disparity along edges (weighted least squares, Min et al. 2014).
 
-    exhaustive : eight directions of aggregation in place of three; better, slower, and much more memory.
+    exhaustive : eight directions of aggregation in place of three; better, slower, and much more memory: three where that
+                 would be more than about 2 GB.
     stiffness  : what both penalties, of a step and of a jump, are multiplied by: more for noisy plates.
     dense      : filter; without it `Match.dense` has the background's value where nothing was found.
     """
     left, right = proxy.left, proxy.right
     channels = left.shape[2] if left.ndim == 3 else 1
-    matcher = _sgbm(search, channels, cv2.STEREO_SGBM_MODE_HH4 if exhaustive else cv2.STEREO_SGBM_MODE_SGBM_3WAY, stiffness)
+    cells = left.shape[0] * (left.shape[1] + search.count) * search.count
+    matcher = _sgbm(search, channels, cv2.STEREO_SGBM_MODE_HH4 if exhaustive and cells <= MOST_CELLS else cv2.STEREO_SGBM_MODE_SGBM_3WAY, stiffness)
     positive, negative = max(0, search.high), max(0, -search.low)
     raw_left = _raw(matcher, left, right, before=positive, after=negative)
     raw_right = _raw(cv2.ximgproc.createRightMatcher(matcher), right, left, before=negative, after=positive)

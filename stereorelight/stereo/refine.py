@@ -83,6 +83,7 @@ NOISE = (9, 9)  # window over which the noise of the pictures is measured
 NOISE_FLOOR = 0.7  # grey levels: quantisation and resampling leave no less
 UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.1
 PRIOR = 0.02  # weight of the matched disparity where the pictures say nothing, 1/px^2: its errors hang together over many pixels
+UNSEEN_PRIOR = 0.0005  # and of background copied along a row: enough to hold the level, too little to print rows
 CUT_PX = 0.08  # a second difference that no surface makes: a depth edge, over which nothing binds
 LEVELS = 5
 BEND = 0.006  # px per px^2: what a surface bends by before anything is known of it
@@ -161,6 +162,7 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, rou
     left_spline, right_spline = row_splines(proxy.left_grey), row_splines(proxy.right_grey)
     d = disparity
     bend: Float32 | None = None
+    prior = np.where(trust <= UNSEEN_TRUST, np.float32(UNSEEN_PRIOR), np.float32(PRIOR))
     for _ in range(rounds):
         residual, rate = spline_residual(proxy.left_grey, left_spline, right_spline, d)
         residual -= cv2.blur(residual, LOCAL)
@@ -170,8 +172,8 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, rou
         usual = 2.2 * float(np.median(squares[::4, ::4])) + NOISE_FLOOR**2
         noise2 = np.maximum(cv2.blur(np.minimum(squares, np.float32(9 * usual)), NOISE), np.float32(NOISE_FLOOR**2))
         weight, pull = photometric_evidence(d, residual, rate, noise2, cv2.blur(rate * rate, NOISE), trust)
-        weight += np.float32(PRIOR)
-        pull += np.float32(PRIOR) * (disparity - d)
+        weight += prior
+        pull += prior * (disparity - d)
         mean = _mean_weight(weight)
         bend = np.full_like(mean, BEND) if bend is None else expected_bend(d, mean, bend)
         moved = plate_correction(d, weight, pull, _grown(bend, d.shape), cut=CUT_PX, levels=LEVELS, steps=steps)
@@ -230,11 +232,6 @@ def sided(disparity: Float32, proxy: Proxy) -> Float32:
     return weighed_sides(disparity, zone, ramp, low, high, proxy.left, proxy.right, *steep, radius_px=SIDE_PX, jump_px=JUMP_PX)
 
 
-def _refilled(disparity: Float32, lost: Bool, source: Bool) -> Float32:
-    """Lost ground takes the refined background: filled from single raw matches, its rows would show as streaks."""
-    return np.where(lost, cv2.medianBlur(background(disparity, source), 5), disparity)
-
-
 def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EFFORTS["standard"], tau_px: float = 0.5) -> Refined:
     """The refined disparity of the left eye.
 
@@ -252,7 +249,7 @@ def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EF
         filled = blended(blended(planes, tau_px=tau_px), tau_px=tau_px)[0]
     filled = sided(filled, proxy)
     surface = photometric_surface(proxy, filled, trust, rounds=effort.rounds, steps=effort.steps)
-    disparity = _refilled(surface.disparity, lost, confirmed)
+    disparity = surface.disparity
     slope_x, slope_y = slopes(disparity, cut=CUT_PX)
     sigma, slope_sigma = surface.sigma()
     return Refined(disparity=disparity, slope_x=slope_x, slope_y=slope_y, unseen=lost, sigma_px=sigma, slope_sigma=slope_sigma)
