@@ -27,6 +27,7 @@ FEWEST = 120  # pixels of the small picture, likewise
 FLOOR = 0.08  # of a material's median radiance: shading is not believed below
 RIDGE = 2e-3
 ROUNDS = 6
+HALVINGS = 4
 HELD_OUT_BLOCK = 6  # small pixels: wider than what noise and grain share
 LOCAL_SHARE = 0.1  # of the frame's width
 DARKEST = 1e-4  # radiance whose logarithm is still taken
@@ -171,6 +172,9 @@ def fit_light(
     floor = FLOOR * float(np.exp(np.median(L[weight > 0])))
     c = _start(B[inside], np.exp(L[inside]), train[inside] / np.exp(L[inside])) if start is None else start
     robust = np.ones_like(L)
+    r_all = _Local(train, radius)(L - np.log(np.maximum(B @ c, floor)))
+    limit = _spread(r_all[inside])
+    least = float((train * np.minimum(np.abs(r_all), 3 * limit)).sum())
     for _ in range(ROUNDS):
         raw = B @ c
         S = np.maximum(raw, floor)
@@ -181,9 +185,19 @@ def fit_light(
         A = (J * q[:, None]).T @ J
         # Directions that a local fit cannot see, the strength of the light among them, stay where they are.
         damp = np.eye(TERMS) * (RIDGE * np.trace(A) / TERMS + 1e-12)
-        c = c + np.linalg.solve(A + damp, (J * q[:, None]).T @ r)
-        r_all = local(L - np.log(np.maximum(B @ c, floor)))
-        robust = 1 / (1 + (r_all / (2 * _spread(r_all[inside]))) ** 2) ** 2
+        step = np.linalg.solve(A + damp, (J * q[:, None]).T @ r)
+        for _ in range(HALVINGS):  # a light that goes dark explains nothing and would never come back
+            r_all = local(L - np.log(np.maximum(B @ (c + step), floor)))
+            cost = float((train * np.minimum(np.abs(r_all), 3 * limit)).sum())
+            if cost < least:
+                c, least = c + step, cost
+                break
+            step = step / 2
+        else:
+            break
+        limit = _spread(r_all[inside])
+        robust = 1 / (1 + (r_all / (2 * limit)) ** 2) ** 2
+        least = float((train * np.minimum(np.abs(r_all), 3 * limit)).sum())
     judged = weight > 0 if held_out is None else (weight > 0) & held_out
     S = np.maximum(B @ c, floor)
     local = _Local(weight * robust, radius)

@@ -47,7 +47,7 @@ CLIPPED, BLACK = 0.98, 2e-3
 PAINT = 0.03  # change of log chromaticity that is beyond any mix of lights
 LEAST_EXPLAINED = 0.02
 JUDGED_WIDTH = 480  # of the level at which materials are tested against disparity
-LEAST_SHARE = 0.35  # of the variance of brightness, explained by normals that shading had no part in
+LEAST_SHARE = 0.5  # of the variance of brightness, explained by normals that shading had no part in
 LEAST_TURN_DEG = 4.5  # spread of normals over TURN_SHARE of the width
 TURN_SHARE = 0.02
 LEAST_GAIN = 0.8  # error of the given normals over that of shading's
@@ -274,8 +274,10 @@ def _at_pixels(level: Level, state: _State, helped: Bool) -> tuple[Float32, Floa
     with np.errstate(invalid="ignore", divide="ignore"):
         N = sums / np.linalg.norm(sums, axis=-1, keepdims=True)
         share = np.where(total > 0, share / total, 0).astype(np.float32)
-    near = ndimage.uniform_filter(share, 5, mode="nearest") * np.isfinite(N[..., 0])
-    t = np.clip((near - f4(0.2)) / f4(0.6), 0, 1)
+    # Islands inside a shaded surface go with it; what hangs on to torn ground at a depth edge does not.
+    near = ndimage.uniform_filter(share, 11, mode="nearest") * np.isfinite(N[..., 0])
+    whole = ndimage.uniform_filter(level.okc, 5, mode="nearest")
+    t = np.clip((near - f4(0.15)) / f4(0.4), 0, 1) * np.clip((whole - f4(0.4)) / f4(0.3), 0, 1)
     return N, t * t * (3 - 2 * t)
 
 
