@@ -200,6 +200,8 @@ def _field_at(model: type[BaseModel], loc: tuple[str | int, ...]) -> tuple[type[
             continue
         field = here.model_fields.get(str(part))
         annotation = field.annotation if field else None
+        if typing.get_origin(annotation) is types.UnionType:  # a table that may be left out
+            annotation = next((a for a in typing.get_args(annotation) if isinstance(a, type) and issubclass(a, BaseModel)), annotation)
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):
             here = annotation
     return here, annotation
@@ -266,7 +268,9 @@ def _checked_tables(path: Path, model: type[T]) -> tuple[T, dict[tuple[str | int
     try:
         return model.model_validate(data), lines
     except ValidationError as problem:
-        first = problem.errors()[0]
+        problems = problem.errors()
+        # A misspelt key is told before the one that is missing for it.
+        first = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
         raise ShotError(f"{_where(path, lines, tuple(first['loc']))}: {_explained(first, model)}") from None
 
 
