@@ -38,8 +38,8 @@ APART_PX = 1.0  # disparities farther apart belong to two surfaces when Z is car
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recovered:
-    """What was found: `frame` (Z, confidence, flags on the original plate of the eye), `rectified` (disparity, confidence,
-    flags on that eye's rectified view), the range searched, the median row error that the flow saw, px, and how the right
+    """What was found: `frame` (Z, confidence, flags, disparity_sigma, Z_sigma on the original plate of the eye), `rectified`
+    (disparity, disparity_sigma, confidence, flags on that eye's rectified view), the range searched, the median row error that the flow saw, px, and how the right
     eye's colours were matched, where they were."""
 
     frame: Frame
@@ -116,19 +116,20 @@ def _flipped(depth: RectifiedDepth) -> RectifiedDepth:
 
 
 def depth_on_plate(depth: RectifiedDepth, rectification: Rectification, *, eye: Eye = "left", fill: bool = True) -> Frame:
-    """Z, confidence and flags carried to the original plate in one resampling; two surfaces are never mixed.
+    """Z, confidence, flags and standard deviations carried to the original plate in one resampling; two surfaces are never mixed.
 
     fill : keep values that are only guesses (flagged FILLED); off, they are NaN.
     """
     rig = rectification.rig
     refined, camera = depth.refined, rectification.original.camera(eye)
     if rectification.identity:
-        disparity, flags, sure, stretch = refined.disparity, depth.flags.copy(), depth.confidence.copy(), np.ones(1)
+        disparity, flags, sure, sigma = refined.disparity, depth.flags.copy(), depth.confidence.copy(), refined.sigma_px.copy()
+        stretch = np.ones(1)
     else:
         disparity, nearest = on_planes(
             refined.disparity, (refined.slope_x, refined.slope_y), rectification.rectified_from_original(eye), apart=APART_PX
         )
-        flags, sure = depth.flags.ravel()[np.maximum(nearest, 0)], depth.confidence.ravel()[np.maximum(nearest, 0)]
+        flags, sure, sigma = (a.ravel()[np.maximum(nearest, 0)] for a in (depth.flags, depth.confidence, refined.sigma_px))
         flags[nearest < 0], sure[nearest < 0] = np.uint16(Flag.OUT_OF_VIEW | Flag.UNMATCHED), 0
         stretch = rectification.original_over_rectified_depth(eye)
     far = disparity + np.float32(rig.doffs_px) < SMALLEST_DISPARITY_PX
@@ -137,8 +138,12 @@ def depth_on_plate(depth: RectifiedDepth, rectification: Rectification, *, eye: 
     Z[far] = np.nan
     if not fill:
         Z[(flags & Flag.FILLED) != 0] = np.nan
-    sure[~np.isfinite(Z)] = 0
-    return Frame(passes={"Z": Z, "confidence": sure, "flags": flags}, camera=camera, eye=eye)
+    known = np.isfinite(Z)
+    sure[~known] = 0
+    sigma[~known] = np.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        Z_sigma = np.where(known, Z * sigma / (disparity + np.float32(rig.doffs_px)), np.nan).astype(np.float32)
+    return Frame(passes={"Z": Z, "confidence": sure, "flags": flags, "disparity_sigma": sigma, "Z_sigma": Z_sigma}, camera=camera, eye=eye)
 
 
 def recover(
@@ -170,7 +175,12 @@ def recover(
         raise PlateError(f"disparities {search.low} to {search.high} px do not fit plates {wide} px wide; check near_m and far_m against the rig")
     depth = disparity_of_pair(proxy, search, settings) if eye == "left" else _flipped(disparity_of_pair(proxy.flipped(), search, settings))
     rectified = Frame(
-        passes={"disparity": depth.refined.disparity, "confidence": depth.confidence, "flags": depth.flags},
+        passes={
+            "disparity": depth.refined.disparity,
+            "disparity_sigma": depth.refined.sigma_px,
+            "confidence": depth.confidence,
+            "flags": depth.flags,
+        },
         camera=rig.left if eye == "left" else rig.right,
         eye=eye,
     )
