@@ -47,10 +47,11 @@ CLIPPED, BLACK = 0.98, 2e-3
 PAINT = 0.03  # change of log chromaticity that is beyond any mix of lights
 LEAST_EXPLAINED = 0.02
 JUDGED_WIDTH = 480  # of the level at which materials are tested against disparity
-LEAST_SHARE = 0.5  # of the variance of brightness, explained by normals that shading had no part in
-LEAST_TURN_DEG = 4.5  # spread of normals over TURN_SHARE of the width
+LEAST_SHARE = (0.38, 0.5)  # of the variance of brightness, explained by normals that shading had no part in: where disparity ...
+MUCH_GAIN = (8.0, 2.5)  # ... knows so much less than shading would
+LEAST_TURN_DEG = 5.5  # spread of normals over TURN_SHARE of the width
 TURN_SHARE = 0.02
-LEAST_GAIN = 0.8  # error of the given normals over that of shading's
+LEAST_GAIN = 0.7  # error of the given normals over that of shading's
 MOST_SENSITIVE = 0.9  # change of log brightness per radian: more than light on matter does
 
 
@@ -210,8 +211,8 @@ def _chain(levels: list[Level], last: int, effort: Effort, *, strength: float, l
     return state
 
 
-def _judged(level: Level, lit: _State, plain: _State) -> tuple[Bool, Float64, Float64]:
-    """Which materials shading helps, the share it explains of each by normals it had no part in, and its gain over disparity.
+def _judged(level: Level, lit: _State, plain: _State) -> tuple[Bool, Float64, Float64, Float64]:
+    """Which materials shading helps, the share it explains of each by normals it had no part in, its gain over disparity, and how normals turn.
 
     Three questions: do normals from disparity alone explain the brightness (else it is paint); do they turn at all (else the material
     is flat, and all its brightness is paint); does shading, as far as its light fits, know normals better than disparity does?
@@ -234,7 +235,8 @@ def _judged(level: Level, lit: _State, plain: _State) -> tuple[Bool, Float64, Fl
         sense = min(float(np.median(sensitivity[here])), MOST_SENSITIVE)
         gain[k] = math.sqrt(float(np.median(level.turned[here]))) * sense / max(float(lit.light.residual[k]), GRAIN)
     least = np.minimum(explained, lit.light.explained)
-    return (least >= LEAST_SHARE) & (turns >= LEAST_TURN_DEG) & (gain >= LEAST_GAIN), explained, gain
+    needed = np.interp(gain, MUCH_GAIN[::-1], LEAST_SHARE[::-1])
+    return (least >= needed) & (turns >= LEAST_TURN_DEG) & (gain >= LEAST_GAIN), explained, gain, turns
 
 
 def _doubt(level: Level, state: _State, N: Float32, given: Float32, share: Float32) -> Float32:
@@ -332,7 +334,7 @@ def refine_by_shading(
     return _refined(p, depth, given, given_sigma, v, sigma, usable, known, camera, strength, EFFORTS[quality])
 
 
-def _figures(light: PlateLight, helped: Bool, shares: Float64, gain: Float64) -> dict[str, Any]:
+def _figures(light: PlateLight, helped: Bool, shares: Float64, gain: Float64, turns: Float64) -> dict[str, Any]:
     size = light.labels.size
     return {
         "shaded_share": float(np.isin(light.labels, np.flatnonzero(helped)).sum() / max(size, 1)),
@@ -341,6 +343,7 @@ def _figures(light: PlateLight, helped: Bool, shares: Float64, gain: Float64) ->
                 "share": round(float((light.labels == k).sum() / size), 4),
                 "explained": round(float(shares[k]), 3),
                 "gain": round(float(gain[k]), 2),
+                "turns_deg": round(float(turns[k]), 1),
                 "helped": bool(helped[k]),
             }
             for k in range(len(helped))
@@ -365,12 +368,12 @@ def _refined(
     judge = next((k for k, level in enumerate(levels) if level.v.shape[1] <= JUDGED_WIDTH), len(levels) - 1)
     lit = _chain(levels, judge, effort, strength=strength, lit=True)
     plain = _chain(levels, judge, effort, strength=strength, lit=False)
-    helped, shares, gain = _judged(levels[judge], lit, plain)
+    helped, shares, gain, turns = _judged(levels[judge], lit, plain)
     labels = levels[0].labels
     light = replace(lit.light, labels=labels)
     nothing = ShadedSurface(
         Z=depth, N=given, N_sigma=given_sigma, weight=np.zeros(depth.shape, np.float32), light=light, helped=helped, shares=shares,
-        figures=_figures(light, helped, shares, gain),
+        figures=_figures(light, helped, shares, gain, turns),
     )  # fmt: skip
     if strength == 0 or not helped.any():
         return nothing
