@@ -37,11 +37,11 @@ def studio(height: int = 256) -> Float32:
     light = light + 0.05 * (lines**24)[..., None] * np.clip(1 - np.abs(y) * 1.4, 0, 1)  # posts along the wall
     light = light + 9.0 * _lamp(d, (-1, 0.55, 0.75), (17, 24), 2)[..., None] * (1.0, 0.90, 0.76)
     light = light + 4.0 * _lamp(d, (1, 0.25, 0.2), (9, 30), 2)[..., None] * (0.72, 0.86, 1.0)
-    light = light + 6.0 * _lamp(d, (0.15, 1, -0.45), (40, 6), 2)[..., None]
+    light = light + 6.0 * _lamp(d, (-0.1, 1, -0.45), (30, 6), 2)[..., None]
     return np.ascontiguousarray(light, dtype=np.float32)
 
 
-def sky(height: int = 256, *, sun: Sequence[float] = (0.5, 0.6, 0.6), sun_deg: float = 3.0, strength: float = 150.0) -> Float32:
+def sky(height: int = 256, *, sun: Sequence[float] = (0.5, 0.6, 0.6), sun_deg: float = 3.0, strength: float = 600.0) -> Float32:
     """A clear sky over brown ground, with a sun of `sun_deg` across in the direction `sun`."""
     d = directions(height)
     y = d[..., 1:2]
