@@ -90,7 +90,7 @@ def _two_sides(first, end, disparity, zone, ramp, low, high, picture, radius, ju
             b, g, r = f4(picture[y, x, 0]), f4(picture[y, x, 1]), f4(picture[y, x, 2])
             for j in range(y0, y1, 2):
                 for i in range(x0, x1, 2):
-                    if ramp[j, i]:
+                    if ramp[j, i] or (j == y and i == x):  # no pixel speaks for itself
                         continue
                     other = (abs(f4(picture[j, i, 0]) - b) + abs(f4(picture[j, i, 1]) - g) + abs(f4(picture[j, i, 2]) - r)) * decay
                     apart = f4((j - y) * (j - y) + (i - x) * (i - x))

@@ -17,6 +17,8 @@ from stereorelight.stereo.match import DisparityRange
 from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import CUT_PX, Refined, joined
 
+HALF_SIZE_SIGMA_PX = 0.12  # what pictures of half the size are off by whatever their own noise says: aliasing and lost detail
+
 
 def half_proxy(proxy: Proxy) -> Proxy:
     """The pair at half size, each pixel the mean of four; known where all four are."""
@@ -74,6 +76,6 @@ def full_size(refined: Refined, proxy: Proxy) -> Refined:
         slope_x=slope_x,
         slope_y=slope_y,
         unseen=nearest(refined.unseen.view(np.uint8), size).view(np.bool_),
-        sigma_px=2 * nearest(refined.sigma_px, size),
+        sigma_px=np.hypot(2 * nearest(refined.sigma_px, size), np.float32(HALF_SIZE_SIGMA_PX)),
         slope_sigma=nearest(refined.slope_sigma, size),
     )

@@ -1,0 +1,71 @@
+"""The draft's way down to half size and back up: planes survive it, and grain is taken out of matching alone."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from stereorelight.stereo.draft import full_size, half_proxy, half_range
+from stereorelight.stereo.match import DisparityRange
+from stereorelight.stereo.proxy import Proxy
+from stereorelight.stereo.refine import Refined
+
+f4 = np.float32
+
+
+def proxy_of(left: np.ndarray, right: np.ndarray) -> Proxy:
+    known = np.ones(left.shape[:2], np.bool_)
+    grey = [p.mean(axis=2).astype(f4) for p in (left, right)]
+    return Proxy(left=left, right=right, left_grey=grey[0], right_grey=grey[1], left_known=known, right_known=known)
+
+
+def noise_pair(size: tuple[int, int], sigma: float) -> Proxy:
+    rng = np.random.default_rng(1)
+    step = np.where(np.arange(size[1]) < size[1] // 2, 60, 190)[None, :, None]
+    return proxy_of(*(np.clip(step + rng.normal(0, sigma, (*size, 3)), 0, 255).astype(np.uint8) for _ in range(2)))
+
+
+@pytest.mark.parametrize("size", [(60, 80), (61, 83)])
+def test_a_plane_comes_back_at_full_size(size) -> None:
+    """Half-size pixel X lies over full-size 2 X and 2 X + 1, so its centre is at 2 X + 1/2, and its disparity is half."""
+    h, w = size[0] // 2, size[1] // 2
+    y, x = np.mgrid[:h, :w].astype(f4)
+
+    def plane(u, v):
+        return 9 + 0.2 * u - 0.1 * v
+
+    small = Refined(
+        disparity=plane(2 * x + 0.5, 2 * y + 0.5).astype(f4) / 2,
+        slope_x=np.full((h, w), 0.2, f4),
+        slope_y=np.full((h, w), -0.1, f4),
+        unseen=np.zeros((h, w), np.bool_),
+        sigma_px=np.full((h, w), 0.05, f4),
+        slope_sigma=np.full((h, w), 0.01, f4),
+    )
+    big = full_size(small, noise_pair(size, 3))
+    v, u = np.mgrid[: size[0], : size[1]].astype(f4)
+    inside = (slice(0, 2 * h), slice(0, 2 * w))
+    assert np.abs(big.disparity - plane(u, v))[inside].max() < 1e-4
+    assert np.isfinite(big.disparity).all()
+    assert np.median(big.slope_x) == pytest.approx(0.2, abs=1e-4)
+    assert (big.sigma_px > 0.1).all()
+
+
+def test_half_a_pair_is_known_and_ranged_as_the_whole() -> None:
+    half = half_proxy(noise_pair((61, 83), 5))
+    assert half.left.shape == (30, 41, 3)
+    assert half.left_known.all()
+    assert half_range(DisparityRange.holding(-7, 40)).low <= -3.5
+    assert half_range(DisparityRange.holding(-7, 40)).high > 20
+
+
+def test_grain_is_measured_and_taken_out_of_the_pictures_that_choose_alone() -> None:
+    pair = noise_pair((200, 240), 6)
+    assert pair.noise() == pytest.approx(6, rel=0.1)
+    calm = pair.calmed()
+    assert calm.left[:, :100].std() < 0.5 * pair.left[:, :100].std()
+    assert np.abs(cv2.blur(calm.left, (1, 9))[:, 119:121].astype(f4) - cv2.blur(pair.left, (1, 9))[:, 119:121]).mean() < 4  # the edge stays
+    assert calm.left_grey is pair.left_grey
+    quiet = noise_pair((200, 240), 0.5)
+    assert quiet.calmed() is quiet
