@@ -250,3 +250,58 @@ def test_a_run_writes_alpha_trust_and_pose(tmp_path: Path) -> None:
     (tmp_path / "c.json").write_text(json.dumps({"pose": {"position": [0, 2, 0]}}))
     run_shot(path, on_event=lambda event: done.append(event.step) if event.state == "done" else None)
     assert done == ["relight", "relit previews"]
+
+
+GLASS = '[environment]\nfile = "sky.exr"\nreflection = 0.5\nexposure = { keys = [[1, 0.0], [3, 1.0]] }\n'
+
+
+def sky(folder: Path) -> None:
+    light = np.ones((16, 32, 3), np.float32)
+    light[:8] = 2.0
+    write_exr(folder / "sky.exr", {c: light[..., k] for k, c in enumerate("RGB")})
+
+
+def test_the_environment_lights_by_keys_mattes_and_pose(tmp_path: Path) -> None:
+    """Layers of its own, a stop more on frame 3; turned by the camera's pose in the world, held by a matte; and the sum is the beauty."""
+    sky(tmp_path)
+    write_poses = json.dumps(
+        {"frames": {"1": {"position": [0, 0, 0]}, "3": {"position": [5, 5, 5]}, "4": {"position": [0, 0, 0], "rotation_deg": [90, 0, 0]}}}
+    )
+    (tmp_path / "c.json").write_text(write_poses)
+    made = lighting(tmp_path, LAMP + GLASS + '[camera]\nfile = "c.json"\n')
+    made.check([1, 3, 4])
+    one, three, four = (made.lit(n, plate=PLATE, passes=wall(), camera=made.camera(CAMERA, n)) for n in (1, 3, 4))
+    assert list(one.layers) == list(three.layers) == ["light_lamp_diffuse", "light_lamp_specular", "env_diffuse", "env_reflection"]
+    np.testing.assert_allclose(three.layers["env_diffuse"], 2 * one.layers["env_diffuse"], rtol=1e-5)
+    # Facing the horizon a card sees as much of either half; a camera that looks straight up sees a wall that faces down.
+    np.testing.assert_allclose(one.layers["env_diffuse"] / PLATE, 1.5, rtol=0.02)
+    np.testing.assert_allclose(four.layers["env_diffuse"] / PLATE, 2 * 1.0, rtol=0.05)
+    np.testing.assert_allclose(one.beauty, PLATE + sum(one.layers.values()), rtol=1e-6)
+    held = lighting(tmp_path, GLASS + 'matte = "left"\n[[mattes]]\nname = "left"\ntype = "plane"\npoint_m = [0, 0, 0]\nnormal = [-1, 0, 0]\n')
+    layers = held.lit(1, plate=PLATE, passes=wall(), camera=CAMERA).layers
+    assert (layers["env_diffuse"][:, :48] > 0).all()
+    assert (layers["env_diffuse"][:, 48:] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[environment]\nfil = "sky.exr"\n', r"lights.toml:2: environment: key 'fil' is unknown; did you mean 'file'"),
+        ("[environment]\nexposure = 0\n", "environment: file is missing"),
+        ('[environment]\nfile = "sky.exr"\nior = { keys = [[1, 1.5], [2, 20.0]] }\n', r"lights.toml:3: environment: ior must be a number"),
+        ('[environment]\nfile = "none.exr"\n', r"none\.exr: file missing"),
+        ("[relight]\n", "table 'lights' is missing"),
+    ],
+)
+def test_environments_that_cannot_be_are_told(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises((ShotError, PlateError), match=words):
+        lighting(tmp_path, text).check([1])
+
+
+def test_the_plate_behind_glass_is_no_gain(tmp_path: Path) -> None:
+    text = '[environment]\ndiffuse = 0\nrefraction = 1\nbackdrop = "plate"\n'
+    lit = lighting(tmp_path, text).lit(1, plate=PLATE, passes=wall(), camera=CAMERA)
+    assert list(lit.layers) == ["env_refraction"]
+    assert lit.layers["env_refraction"].max() > 0.3
+    with pytest.raises(ShotError, match="cannot gain"):
+        lighting(tmp_path, text + '[relight]\nmode = "multiply"\n').lit(1, plate=PLATE, passes=wall(), camera=CAMERA)

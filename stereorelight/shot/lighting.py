@@ -26,6 +26,8 @@ from stereorelight.footage.stills import read_still
 from stereorelight.interchange.poses import Poses, of_left_eye, read_poses
 from stereorelight.light.animate import LightTrack, Stuck
 from stereorelight.light.checks import Vector
+from stereorelight.light.environment import Environment, environment_layers
+from stereorelight.light.environment_settings import EnvironmentSettings
 from stereorelight.light.gobo import gobo_factor
 from stereorelight.light.lights import Light, SpotLight
 from stereorelight.light.mattes import FileMatte, matte_arrays
@@ -103,6 +105,7 @@ class Lighting:
     points: Points | None = None
     digest: Callable[[int], str] | None = None
     _gobos: dict[Path, Float32] = field(default_factory=dict)
+    _maps: dict[Any, Environment] = field(default_factory=dict)
 
     @cached_property
     def poses(self) -> Poses | None:
@@ -126,12 +129,11 @@ class Lighting:
                     track.at(number)
                 except ShotError as error:
                     raise ShotError(f"{self.setup.path}: {error}") from None
-            self.setup.mattes_at(number)
             if self.poses is not None:
                 self.poses.at(number)
             for file in self._files(number):
                 if not file.is_file():
-                    raise PlateError(f"{file}: file missing; {self.setup.path} names it as a matte or a gobo")
+                    raise PlateError(f"{file}: file missing; {self.setup.path} names it as a matte, a gobo or the environment")
         for track, stuck in self._stuck():
             known = None if self.points is None else self.points.numbers
             if stuck.frame is not None and known is not None and stuck.frame not in known:
@@ -145,11 +147,8 @@ class Lighting:
         return Pattern.parse(self.setup.resolved(text), must_exist=False).path(number)
 
     def _files(self, number: int | None) -> list[Path]:
-        """The mattes and gobos of a frame."""
-        names = [matte.file for matte in self.setup.mattes_at(number) if isinstance(matte, FileMatte)]
-        lights = [track.at(number) for track in self.setup.lights]
-        names += [light.gobo for light in lights if isinstance(light, SpotLight) and light.enabled and light.gobo]
-        return [self._path(name, number) for name in dict.fromkeys(names)]
+        """The mattes, gobos and environment of a frame."""
+        return [self._path(name, number) for name in self.setup.files_at(number)]
 
     def key(self, number: int | None) -> Any:
         """Plain values that stand for all that the light of a frame depends on beyond the shot file; None where there is nothing."""
@@ -210,6 +209,37 @@ class Lighting:
             self._gobos[path] = np.maximum(read_plate(path, colour=self.colour), 0)
         return layers | faded(own, gobo_factor(P, light, self._gobos[path], camera=camera))
 
+    def _around(
+        self,
+        around: EnvironmentSettings,
+        number: int | None,
+        passes: Mapping[str, Array],
+        albedo: Float32,
+        plate: Float32,
+        mattes: Mapping[str, Float32],
+        camera: Camera | None,
+    ) -> dict[str, Float32]:
+        """The layers of light from all around."""
+        if self.setup.relight.mode == "multiply" and around.refraction > 0 and around.backdrop == "plate":
+            raise ShotError(
+                f'{self.setup.path}: environment: backdrop "plate" is the plate itself, which mode "multiply" cannot gain; use mode "add"'
+            )
+        try:
+            found = self._map(around, number) if around.file is not None and around.needs_map else None
+            return environment_layers(passes["P"], passes["N"], albedo, found, around, camera=camera, plate=plate, mattes=mattes)
+        except (PassError, ShotError) as error:
+            raise type(error)(f"{self.setup.path}: {error}") from None
+
+    def _map(self, around: EnvironmentSettings, number: int | None) -> Environment:
+        """The map of a frame; the last one is kept, with what was convolved from it."""
+        path = self._path(str(around.file), number)
+        shape = {key: getattr(around, key) for key in ("kind", "circle_px", "find_circle", "ball_angle_deg", "bad_values")}
+        key = (path, tuple(shape.values()))
+        if key not in self._maps:
+            self._maps.clear()
+            self._maps[key] = Environment.from_picture(read_plate(path, colour=self.colour), name=str(path), **shape)
+        return self._maps[key]
+
     def lit(
         self,
         number: int | None,
@@ -233,6 +263,9 @@ class Lighting:
         layers = light_layers(P, N, albedo, lights, mattes=mattes, camera=camera)
         for light in lights:
             layers = self._thrown(layers, light, number, P, camera)
+        around = self.setup.environment_at(number)
+        if around is not None and around.enabled:
+            layers |= self._around(around, number, passes, albedo, plate, mattes, camera)
         for name in self.setup.layer_names():
             if name not in layers:  # a highlight that is at 0 on this frame alone
                 layers[name] = np.zeros_like(plate)
@@ -248,8 +281,8 @@ class Lighting:
             layers = faded(layers, trusted)
         alpha = None
         if knobs.mode == "light_only":
-            shining = [light for light in lights if light.enabled]
-            alpha = light_alpha(N, [None if light.matte is None else mattes[light.matte] for light in shining], trust=trusted)
+            held = [light.matte for light in lights if light.enabled] + ([around.matte] if around is not None and around.enabled else [])
+            alpha = light_alpha(N, [None if name is None else mattes[name] for name in held], trust=trusted)
         beauty = relight(plate, layers, plate_gain=knobs.plate_gain, mode=knobs.mode)
         return Lit(layers=layers, beauty=beauty, alpha=alpha, trust=trusted)
 

@@ -16,7 +16,7 @@ from stereorelight.shot.schema import Shot
 
 SCENE = ("plate", "depth", "confidence", "flags", "P", "N")
 CELL_PX = 480  # width of one picture on the contact sheet
-LIGHT = "light_"
+LIGHT, AROUND = "light_", "env_"
 
 
 def scene_names(shot: Shot) -> list[str]:
@@ -69,8 +69,9 @@ def position_picture(P: Float32, camera: Camera, *, far_m: float) -> UInt8:
 
 def relit_names(shot: Shot) -> list[str]:
     """The names of `relit_pictures`."""
+    around = ["environment"] if any(name.startswith(AROUND) for name in shot.setup.layer_names()) else []
     trust = ["trust"] if shot.tables.relight.fade > 0 else []
-    return [*(LIGHT + track.name for track in shot.setup.lights if track.enabled), *trust, "relit", "before_after", "contact"]
+    return [*(LIGHT + track.name for track in shot.setup.lights if track.enabled), *around, *trust, "relit", "before_after", "contact"]
 
 
 def relit_pictures(job: FrameJob) -> dict[str, UInt8]:
@@ -80,12 +81,14 @@ def relit_pictures(job: FrameJob) -> dict[str, UInt8]:
         if track.enabled:
             parts = [layer for name, layer in job.lit.layers.items() if name.rpartition("_")[0] == LIGHT + track.name]
             made[LIGHT + track.name] = shown(np.sum(parts, axis=0, dtype=np.float32), job.shot)
+    if around := [layer for name, layer in job.lit.layers.items() if name.startswith(AROUND)]:
+        made["environment"] = shown(np.sum(around, axis=0, dtype=np.float32), job.shot)
     if job.lit.trust is not None:
         made["trust"] = preview.confidence_picture(job.lit.trust)
     made["relit"] = shown(job.lit.beauty, job.shot)
     scene = scene_pictures(job)
     made["before_after"] = preview.before_after(scene["plate"], made["relit"])
     sheet = [("plate", scene["plate"]), ("relit", made["relit"]), *((n, p) for n, p in scene.items() if n != "plate")]
-    sheet += [(n, p) for n, p in made.items() if n.startswith(LIGHT) or n == "trust"]
+    sheet += [(n, p) for n, p in made.items() if n.startswith(LIGHT) or n in ("environment", "trust")]
     made["contact"] = preview.contact_sheet(sheet, columns=3, width=CELL_PX)
     return made

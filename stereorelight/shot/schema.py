@@ -119,12 +119,14 @@ class ShotTables(Table):
     relight: RelightTable = RelightTable()
     lights: list[dict[str, Any]] = []
     mattes: list[dict[str, Any]] = []
+    environment: dict[str, Any] | None = None
     output: OutputTable = OutputTable()
 
 
 class LightTables(Table):
-    lights: list[dict[str, Any]]
+    lights: list[dict[str, Any]] = []
     mattes: list[dict[str, Any]] = []
+    environment: dict[str, Any] | None = None
     camera: CameraTable | None = None
     relight: RelightTable = RelightTable()
 
@@ -298,9 +300,11 @@ def _checked_colour(path: Path, tables: ShotTables, lines: dict[tuple[str | int,
 
 
 def read_light_file(path: str | Path) -> Setup:
-    """A file that holds [[lights]], and perhaps [[mattes]], [camera] and [relight].  Raises ShotError naming file and line."""
+    """A file that holds [[lights]], [[mattes]], [environment], [camera] and [relight], any of them.  Raises ShotError naming file and line."""
     path = Path(path)
     tables, lines = _checked_tables(path, LightTables)
+    if "lights" not in tables.model_fields_set and tables.environment is None:
+        raise ShotError(f"{path}: table 'lights' is missing; add [[lights]], or [environment]")
     return _setup(path, tables, lines, given=None)
 
 
@@ -308,7 +312,10 @@ def _setup(path: Path, tables: LightTables | ShotTables, lines: dict[tuple[str |
     def where(loc: tuple[str | int, ...]) -> str:
         return _where(path, lines, loc)
 
-    return checked_setup(path, where, lights=tables.lights, mattes=tables.mattes, camera=tables.camera, relight=tables.relight, given=given)
+    found = tables.environment
+    return checked_setup(
+        path, where, lights=tables.lights, mattes=tables.mattes, environment=found, camera=tables.camera, relight=tables.relight, given=given
+    )
 
 
 def read_lights(path: str | Path) -> tuple[Light, ...]:

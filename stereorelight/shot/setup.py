@@ -14,9 +14,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from stereorelight.errors import ShotError, StereoRelightError
 from stereorelight.light.animate import LightTrack, Moving, light_tracks, moving_table
-from stereorelight.light.lights import Light, SpotLight
+from stereorelight.light.environment_settings import EnvironmentSettings, environment_from_dict
+from stereorelight.light.lights import SpotLight
 from stereorelight.light.mattes import FileMatte, Matte, checked_mattes, known_mattes, matte_from_dict
 
+ENVIRONMENT_PARTS = ("diffuse", "reflection", "refraction")  # layers of it, each with a strength of its own
 Where = Callable[[tuple[str | int, ...]], str]  # file and line of a key
 T = TypeVar("T")
 
@@ -51,12 +53,14 @@ class Setup:
 
     path   : the file that says so; the paths in it are from its folder.
     lights : in the file's order, those that are off included.     mattes : in the file's order.
+    environment : light from all around, or None.
     camera : None for a camera that stands at the origin of the world.
     """
 
     path: Path
     lights: tuple[LightTrack, ...] = ()
     mattes: tuple[Moving, ...] = ()
+    environment: Moving | None = None
     camera: CameraTable | None = None
     relight: RelightTable = field(default_factory=RelightTable)
 
@@ -70,43 +74,45 @@ class Setup:
 
     def layer_names(self) -> list[str]:
         """The light layers of every frame."""
-        return [name for track in self.lights for name in track.layer_names()]
+        around = [self.environment_at(frame) for frame in self.environment.key_frames()] if self.environment else []
+        of_all = [f"env_{part}" for part in ENVIRONMENT_PARTS if any(found and found.enabled and getattr(found, part) > 0 for found in around)]
+        return [*(name for track in self.lights for name in track.layer_names()), *of_all]
+
+    def environment_at(self, frame: float | None) -> EnvironmentSettings | None:
+        """The light from all around on a frame.  Raises ShotError."""
+        return None if self.environment is None else environment_from_dict(self.environment.at(frame))
 
     def mattes_at(self, frame: float | None) -> list[Matte]:
         """The mattes of a frame, before anything is read."""
         return [matte_from_dict(moving.at(frame), moving.label) for moving in self.mattes]
 
-    def lights_at_keys(self) -> list[Light]:
-        """Every light at each of its keys: all that it may be."""
-        return [track.at(frame) for track in self.lights for frame in track.moving.key_frames()]
+    def files_at(self, frame: int | None) -> list[str]:
+        """The pictures that a frame needs, as written, patterns included."""
+        lights, around = [track.at(frame) for track in self.lights], self.environment_at(frame)
+        names = [matte.file for matte in self.mattes_at(frame) if isinstance(matte, FileMatte)]
+        names += [light.gobo for light in lights if isinstance(light, SpotLight) and light.enabled and light.gobo]
+        names += [around.file] if around is not None and around.file is not None and around.needs_map else []
+        return list(dict.fromkeys(names))
 
     def tables(self) -> dict[str, Any]:
         """Plain values of all of it, for receipts."""
         return {
             "lights": [dict(track.moving.table) for track in self.lights],
             "mattes": [dict(moving.table) for moving in self.mattes],
+            "environment": None if self.environment is None else dict(self.environment.table),
             "camera": None if self.camera is None else self.camera.model_dump(),
             "relight": self.relight.model_dump(),
         }
 
-    def files(self) -> list[str]:
-        """The pictures that it names, without those of the camera: as written, patterns included."""
-        found = [matte.file for frame in self._matte_frames() for matte in self.mattes_at(frame) if isinstance(matte, FileMatte)]
-        found += [light.gobo for light in self.lights_at_keys() if isinstance(light, SpotLight) and light.gobo]
-        return list(dict.fromkeys(found))
 
-    def _matte_frames(self) -> list[float | None]:
-        return [*sorted({f for m in self.mattes for f in m.key_frames() if f is not None})] or [None]
-
-
-def _told(where: Where, title: str, index: int, table: Mapping[str, Any], make: Callable[[], T]) -> T:
+def _told(where: Where, title: str, index: int | None, table: Mapping[str, Any], make: Callable[[], T]) -> T:
     """`make()`; a complaint gets the line of the key that it speaks of, or of the table."""
     try:
         return make()
     except StereoRelightError as error:
         named = [k for k in table if isinstance(k, str) and re.search(rf"\b{re.escape(k)}\b", str(error))]
-        loc = (title, index, named[0]) if named else (title, index)
-        raise ShotError(f"{where(loc)}: {error}") from None
+        loc: tuple[str | int, ...] = (title,) if index is None else (title, index)
+        raise ShotError(f"{where((*loc, named[0]) if named else loc)}: {error}") from None
 
 
 def checked_setup(
@@ -115,6 +121,7 @@ def checked_setup(
     *,
     lights: Sequence[Mapping[str, Any]],
     mattes: Sequence[Mapping[str, Any]] = (),
+    environment: Mapping[str, Any] | None = None,
     camera: CameraTable | None = None,
     relight: RelightTable | None = None,
     given: Sequence[str] | None = (),
@@ -129,8 +136,10 @@ def checked_setup(
     movings: list[Moving] = []
     for index, table in enumerate(mattes):
         movings.append(_told(where, "mattes", index, table, lambda table=table, index=index: _matte_over(table, index)))  # type: ignore[misc]
+    around = None if environment is None else _told(where, "environment", None, environment, lambda: _environment_over(environment))
+    knobs = relight or RelightTable()
     try:
-        setup = Setup(path=path, lights=light_tracks(lights), mattes=tuple(movings), camera=camera, relight=relight or RelightTable())
+        setup = Setup(path=path, lights=light_tracks(lights), mattes=tuple(movings), environment=around, camera=camera, relight=knobs)
         if given is not None:
             checked_mattes(setup.mattes_at(None), given)
     except StereoRelightError as error:
@@ -139,6 +148,9 @@ def checked_setup(
         known = [*given, *(str(moving.table["name"]) for moving in movings)]
         for index, track in enumerate(setup.lights):
             _told(where, "lights", index, track.moving.table, lambda track=track: _matte_known(track, known))  # type: ignore[misc]
+        if around is not None:
+            names = [found.matte for frame in around.key_frames() if (found := setup.environment_at(frame))]
+            _told(where, "environment", None, around.table, lambda: known_mattes(names, known, "environment"))
     return setup
 
 
@@ -149,6 +161,17 @@ def _matte_over(table: Mapping[str, Any], index: int) -> Moving:
         raise ShotError(f"{label}: {next(iter(moving.stuck))} cannot go with a pixel; only places of lights can")
     for frame in moving.key_frames():
         matte_from_dict(moving.at(frame), label)
+    return moving
+
+
+def _environment_over(table: Mapping[str, Any]) -> Moving:
+    moving = moving_table(table, "environment")
+    if moving.stuck:
+        raise ShotError(f"environment: {next(iter(moving.stuck))} cannot go with a pixel; only places of lights can")
+    for frame in moving.key_frames():
+        found = environment_from_dict(moving.at(frame))
+        if found.file is None and found.needs_map:
+            raise ShotError("environment: file is missing; name the picture of the map, or set diffuse and reflection to 0")
     return moving
 
 
