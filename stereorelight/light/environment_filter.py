@@ -13,12 +13,14 @@ from collections.abc import Callable
 import numpy as np
 
 from stereorelight.arrays import Float32, Float64
-from stereorelight.light.environment_maps import solid_angles
+from stereorelight.light.environment_maps import directions, latlong_place, sampled, solid_angles
 
 Kernel = Callable[[Float64], Float64]  # weight by the cosine of the angle
 ROUGHNESS = (0.0, 1 / 16, 1 / 8, 3 / 16, 1 / 4, 3 / 8, 1 / 2, 3 / 4, 1.0)  # of the levels; the lobe's alpha is its square
 HEIGHTS = (0, 512, 256, 256, 128, 128, 128, 128, 128)  # of the levels; 0 is the map's own
 IRRADIANCE_HEIGHT = 128
+PEAK = 0.15  # radians to which a sharp lobe counts as its peak, fading until twice that
+TAIL_HEIGHT = 128  # rows of the grid for what is further off
 
 
 def _shares(n: int, m: int) -> tuple[np.ndarray, Float64]:
@@ -52,31 +54,56 @@ def gathered(latlong: Float32, height: int) -> tuple[Float64, Float64]:
     return out, solid * W / (2 * height)
 
 
-def convolved(latlong: Float32, kernel: Kernel, *, height: int, fine: int) -> Float32:
-    """(h, 2h, 3): at each direction the mean of the light by kernel(cos angle), h = `height`; the light gathered on `fine` rows.
+def _sums(energy: Float64, solid: Float64, kernel: Kernel, height: int, reach: float = math.pi) -> tuple[Float64, Float64]:
+    """At each of (h, 2h) directions the sum of the light by kernel(cos angle), (h, 2h, 3), and for each row that of the kernel alone.
 
-    fine : a multiple of `height`.
+    reach : angle, radians, beyond which the kernel is 0.
     """
-    energy, solid = gathered(latlong, fine)
     rows = energy.shape[0]
-    height = min(height, rows)
     step = rows // height
     spectrum = np.fft.rfft(energy, axis=1)
     polar_in = (np.arange(rows) + 0.5) / rows * math.pi
     polar_out = (np.arange(height) + 0.5) / height * math.pi
     # Output columns lie `(step - 1) / 2` fine columns off the input's: the kernel is sampled at that shift.
     turn = np.cos((np.arange(2 * rows) + (step - 1) / 2) / rows * math.pi)
-    out = np.empty((height, 2 * height, 3))
+    out, totals = np.empty((height, 2 * height, 3)), np.empty(height)
     for y in range((height + 1) // 2):
-        sines, cosines = np.sin(polar_in)[:, None] * math.sin(polar_out[y]), np.cos(polar_in)[:, None] * math.cos(polar_out[y])
+        near = slice(*np.searchsorted(polar_in, (polar_out[y] - reach, polar_out[y] + reach)))
+        mirrored = slice(rows - near.stop, rows - near.start)
+        sines, cosines = np.sin(polar_in[near, None]) * math.sin(polar_out[y]), np.cos(polar_in[near, None]) * math.cos(polar_out[y])
         weights = kernel(sines * turn + cosines)
-        # Rows above the equator and their mirror images share the kernel, turned upside down.
-        total = (weights.sum(axis=1) * solid).sum()
         bent = np.fft.rfft(weights, axis=1)
-        for row, one in ((y, bent), (height - 1 - y, bent[::-1])):
-            summed = np.einsum("hf,hfc->fc", one, spectrum)
-            out[row] = np.fft.irfft(summed, n=2 * rows, axis=0)[::step] / total
-    return np.ascontiguousarray(np.maximum(out, 0), dtype=np.float32)
+        # Rows above the equator and their mirror images share the kernel, turned upside down.
+        for row, one, band in ((y, bent, near), (height - 1 - y, bent[::-1], mirrored)):
+            summed = np.einsum("hf,hfc->fc", one, spectrum[band])
+            out[row] = np.fft.irfft(summed, n=2 * rows, axis=0)[::step]
+            totals[row] = (weights.sum(axis=1) * solid[near]).sum()
+    return out, totals
+
+
+def convolved(latlong: Float32, kernel: Kernel, *, height: int, fine: int) -> Float32:
+    """(h, 2h, 3): at each direction the mean of the light by kernel(cos angle), h = `height`; the light gathered on `fine` rows.
+
+    fine : a multiple of `height`.
+    """
+    energy, solid = gathered(latlong, fine)
+    sums, totals = _sums(energy, solid, kernel, min(height, energy.shape[0]))
+    return np.ascontiguousarray(np.maximum(sums / totals[:, None, None], 0), dtype=np.float32)
+
+
+def _convolved_narrow(latlong: Float32, kernel: Kernel, *, height: int, fine: int) -> Float32:
+    """`convolved` for a sharp peak with long tails: the peak on the fine grid, the tails, which are smooth, on a coarse one."""
+
+    def peak(cosine: Float64) -> Float64:
+        t = np.clip(2 - np.arccos(np.clip(cosine, -1, 1)) / PEAK, 0, 1)
+        return t * t * (3 - 2 * t)
+
+    sums, totals = _sums(*gathered(latlong, fine), lambda c: kernel(c) * peak(c), height, 2 * PEAK)
+    far, far_totals = _sums(*gathered(latlong, TAIL_HEIGHT), lambda c: kernel(c) * (1 - peak(c)), TAIL_HEIGHT)
+    place = latlong_place(directions(height), TAIL_HEIGHT)
+    sums += sampled(far, place, wraps=True)
+    totals += np.interp(place[:, 0, 1], np.arange(TAIL_HEIGHT), far_totals)
+    return np.ascontiguousarray(np.maximum(sums / totals[:, None, None], 0), dtype=np.float32)
 
 
 def lambert(cosine: Float64) -> Float64:
@@ -120,4 +147,5 @@ def level(latlong: Float32, index: int) -> Float32:
         fine *= 2
     times = -(-fine // light.shape[0])
     light = light if times <= 1 else np.repeat(np.repeat(light, times, axis=0), times, axis=1)
-    return convolved(light, ggx(roughness), height=height, fine=fine)
+    convolve = _convolved_narrow if fine > TAIL_HEIGHT and roughness < 0.15 else convolved
+    return convolve(light, ggx(roughness), height=height, fine=fine)
