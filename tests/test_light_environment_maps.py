@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereorelight.errors import PassError, ShotError
-from stereorelight.light.environment import Environment
+from stereorelight.light.environment import Environment, environment_for
 from stereorelight.light.environment_ball import find_ball
 from stereorelight.light.environment_maps import angular_place, ball_place, cleaned, directions, latlong_from, latlong_place, solid_angles
+from stereorelight.light.environment_settings import EnvironmentSettings
 from stereorelight.light.matcap import lit_sphere, outline, toon
 from stereorelight.light.skies import gradient, sky, studio
 from tests.reference_environment import look
@@ -153,6 +154,13 @@ def test_light_that_cannot_be_is_refused_or_clamped() -> None:
 def test_odd_sizes_are_made_even() -> None:
     assert latlong_from(np.ones((100, 201, 3), np.float32)).shape == (100, 200, 3)
     np.testing.assert_allclose(latlong_from(gradient(128, slope=(0.3, 0.2, 0.1)), height=32), gradient(32, slope=(0.3, 0.2, 0.1)), atol=2e-3)
+
+
+def test_settings_make_the_environment() -> None:
+    made = EnvironmentSettings(file="probe.exr", kind="angular", bad_values="clamp")
+    assert np.array_equal(environment_for(made, probe_of(LIGHT, 64)).latlong, latlong_from(probe_of(LIGHT, 64), kind="angular"))
+    with pytest.raises(PassError, match=r"probe\.exr: is 64x32"):
+        environment_for(made, np.ones((32, 64, 3), np.float32))
 
 
 def test_the_environment_is_seen_where_it_stands() -> None:

@@ -98,6 +98,19 @@ class Environment:
         return sampled(self.latlong, latlong_place(found, self.latlong.shape[0]), wraps=True)
 
 
+def environment_for(settings: EnvironmentSettings, picture: npt.ArrayLike) -> Environment:
+    """The environment that `settings` make of their file's `picture` (H, W, 3), scene-linear; complaints name the file."""
+    return Environment.from_picture(
+        picture,
+        kind=settings.kind,
+        circle_px=settings.circle_px,
+        find_circle=settings.find_circle,
+        ball_angle_deg=settings.ball_angle_deg,
+        bad_values=settings.bad_values,
+        name=settings.file or "environment map",
+    )
+
+
 def level_of(roughness: float) -> tuple[int, float]:
     """The level of the prefiltered chain below `roughness`, and the share of the next one."""
     steps = filters.ROUGHNESS
