@@ -17,7 +17,7 @@ from numba import njit
 
 from stereorelight import comp
 from stereorelight.camera import Camera
-from stereorelight.engine import fastmath, light_rows, rows
+from stereorelight.engine import area_rows, fastmath, light_rows, rows
 from stereorelight.engine import light as engine
 from stereorelight.errors import PassError, ShotError
 from stereorelight.light.lights import DirectionalLight, Light, PointLight, SpotLight
@@ -351,7 +351,13 @@ def test_kernels_work_where_nothing_can_be_cached(monkeypatch: pytest.MonkeyPatc
 
 def test_the_cached_kernels_are_those_of_todays_files() -> None:
     """numba hashes a kernel's own file only: with another fastmath.py the disk cache would go on with the old mathematics."""
-    for module, name, holder in ((fastmath, "FASTMATH", light_rows), (light_rows, "LEAVES", engine)):
+    pairs = (
+        (fastmath, "FASTMATH", light_rows),
+        (fastmath, "FASTMATH", area_rows),
+        (light_rows, "LEAVES", engine),
+        (area_rows, "AREA_LEAVES", engine),
+    )
+    for module, name, holder in pairs:
         found = hashlib.sha256(Path(module.__file__).read_text(encoding="utf-8").encode()).hexdigest()[:16]
         assert found == getattr(holder, name), f'{module.__name__} has changed: set {name} = "{found}" in {holder.__name__}'
 

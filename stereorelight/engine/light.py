@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereorelight.arrays import Float32
+from stereorelight.engine import area_rows as area
 from stereorelight.engine import light_rows as leaf
 from stereorelight.engine.fastmath import f4, floor, i4, kernel
 from stereorelight.engine.rows import in_row_blocks
@@ -30,28 +31,41 @@ FALL_NONE, FALL_LINEAR, FALL_SQUARE = 11, 12, 13  # strength = none + linear / d
 WINDOW = 14  # 1 / radius^4 of the window (1 - d^4 / radius^4)^2; 0 for none
 EXPONENT = 15
 DIFFUSE, SPECULAR = 16, 19  # three channels each, everything that is the same for all pixels
-COLUMNS = 22
-# Columns of the integer table: which matte, and which output layers; -1 for none.
-MATTE, DIFFUSE_SLOT, SPECULAR_SLOT = 0, 1, 2
+# From here on only rows whose SHAPE or MODEL is not 0, or with a rim.
+RADIUS = 22  # of a ball
+SIDE_U, SIDE_V, HALF_U, HALF_V = 23, 26, 29, 30  # of a rectangle: unit vectors along its sides, and half their lengths; it shines along AXIS
+ALPHA2, F0, IOR = 31, 32, 33  # of GGX: alpha^2; reflectance head on; index for the exact Fresnel formula, 0 for Schlick's
+RIM, RIM_POWER = 34, 37  # three channels of (1 - N.V)^power
+COLUMNS = 38
+# Columns of the integer table: which mattes, and which output layers, -1 for none; and what kind of row it is.
+MATTE, DIFFUSE_SLOT, SPECULAR_SLOT, COVER, SHAPE, MODEL, ADDS, GLOW = range(8)
+SLOTS = 8
+POINT, BALL, RECTANGLE = 0, 1, 2  # SHAPE
+PHONG, GGX = 0, 1  # MODEL
+# COVER is a second matte, a material's; a row that ADDS goes on top of the layers of the row before it, which is the same light on
+# another material; GLOW is its row of the GGX tables.
 
 MOST_SQUARED = 128  # whole exponents up to here are raised by squaring; beyond, rounding would add up to 1e-5
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever light_rows.py does;
 # tests/test_light_layers.py holds the two together.
 LEAVES = "a3052093c420e9c8"
-STRIP = 2048  # 21 rows of it stay in the second-level cache
+AREA_LEAVES = "092e1abdf42adebd"
+STRIP = 2048  # its rows stay in the second-level cache
 PADDING = 80  # rows a whole page apart would fall onto the same cache lines
 VECTOR = 64  # whole vectors, unrolled, on any machine of today
 
 
 @kernel()
 def _rows(
-    first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, layers, plate, gain, beauty, to_beauty, own_albedo
-):
+    first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, glows, layers, plate, gain, beauty, to_beauty,
+    own_albedo,
+):  # fmt: skip
     """Rows first..end.  P, N, albedo, plate, beauty are (H, 3 W); rays (H, 2 W); layers (slots, H, 3 W); mattes (k, H, W)."""
     W = N.shape[1] // 3
-    T = np.empty((21, STRIP + PADDING), np.float32)
+    T = np.empty((26, STRIP + PADDING), np.float32)
     h, front = T[19], T[20]
-    alone = to_beauty and own_albedo and lights.shape[0] == 1
+    ax_, ay_, az_, tx2, ty2 = T[21], T[22], T[23], T[24], T[25]
+    alone = to_beauty and own_albedo and lights.shape[0] == 1 and lights[0, RIM] + lights[0, RIM + 1] + lights[0, RIM + 2] == f4(0)
     tail = np.zeros((3, 3 * VECTOR), np.float32)
     px, py, pz, nx, ny, nz, vx, vy, vz, known = T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9]
     lit, e, s, dr, dg, db, sr, sg, sb = T[10], T[11], T[12], T[13], T[14], T[15], T[16], T[17], T[18]
@@ -81,17 +95,48 @@ def _rows(
             dark, dull = True, True  # nothing summed yet: diffuse, specular
             for k in range(lights.shape[0]):
                 q = lights[k]
+                adds = slots[k, ADDS] > 0
+                cover = slots[k, COVER]
+                if adds and not area.any_of(m, mattes[cover, y, x : x + m]):
+                    continue
                 if slots[k, MATTE] >= 0:
                     leaf.through_matte(m, known, mattes[slots[k, MATTE], y, x : x + m], lit)
                     lit[m:n] = f4(0)
                 else:
                     leaf.copy(n, known, lit)
+                if cover >= 0:
+                    area.through_cover(m, mattes[cover, y, x : x + m], lit)
                 if q[WINDOW] > f4(0):
                     leaf.through_window(n, q[0], q[1], q[2], q[WINDOW], px, py, pz, lit)
                 if q[PER_ANGLE] > f4(0):
                     leaf.through_cone(n, q[0], q[1], q[2], q[4], q[5], q[6], q[EDGE], q[PER_ANGLE], px, py, pz, lit)
                 shines = slots[k, SPECULAR_SLOT] >= 0 or q[SPECULAR] + q[SPECULAR + 1] + q[SPECULAR + 2] > f4(0)
-                if shines:
+                shape = slots[k, SHAPE]
+                if shape != POINT or slots[k, MODEL] == GGX:
+                    if shape == BALL:
+                        area.sphere(
+                            n, q[0], q[1], q[2], q[RADIUS], px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax_, ay_, az_, e, front, tx2
+                        )  # fmt: skip
+                        leaf.copy(n, tx2, ty2)
+                    elif shape == RECTANGLE:
+                        area.rectangle(
+                            n, q[0], q[1], q[2], q[AXIS], q[AXIS + 1], q[AXIS + 2], q[SIDE_U], q[SIDE_U + 1], q[SIDE_U + 2],
+                            q[SIDE_V], q[SIDE_V + 1], q[SIDE_V + 2], q[HALF_U], q[HALF_V],
+                            px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax_, ay_, az_, e, front, tx2, ty2,
+                        )  # fmt: skip
+                    else:
+                        area.towards(
+                            n, q[0], q[1], q[2], q[3], q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE],
+                            px, py, pz, nx, ny, nz, lit, ax_, ay_, az_, e, front,
+                        )  # fmt: skip
+                    if shines and slots[k, MODEL] == GGX:
+                        area.ggx_towards(
+                            n, q[ALPHA2], q[F0], q[IOR], glows[slots[k, GLOW]], nx, ny, nz, vx, vy, vz, ax_, ay_, az_, front,
+                            shape != POINT, tx2, ty2, s,
+                        )  # fmt: skip
+                    elif shines:
+                        area.phong_towards(n, q[EXPONENT], nx, ny, nz, vx, vy, vz, ax_, ay_, az_, front, shape != POINT, tx2, ty2, s)
+                elif shines:
                     leaf.phong(
                         n, q[0], q[1], q[2], q[3], q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE],
                         px, py, pz, nx, ny, nz, vx, vy, vz, lit, e, h, front,
@@ -126,9 +171,26 @@ def _rows(
                     dull = dull and not shines
                 if slots[k, DIFFUSE_SLOT] >= 0:
                     a = albedo[y, 3 * x : 3 * (x + m)]
-                    leaf.write_diffuse(m, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], a, layers[slots[k, DIFFUSE_SLOT], y, 3 * x : 3 * (x + m)])
+                    into = layers[slots[k, DIFFUSE_SLOT], y, 3 * x : 3 * (x + m)]
+                    if adds:
+                        area.add_diffuse(m, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], a, into)
+                    else:
+                        leaf.write_diffuse(m, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], a, into)
                 if slots[k, SPECULAR_SLOT] >= 0:
-                    leaf.write_specular(m, s, q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], layers[slots[k, SPECULAR_SLOT], y, 3 * x : 3 * (x + m)])
+                    into = layers[slots[k, SPECULAR_SLOT], y, 3 * x : 3 * (x + m)]
+                    if adds:
+                        area.add_specular(m, s, q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], into)
+                    else:
+                        leaf.write_specular(m, s, q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], into)
+                if q[RIM] + q[RIM + 1] + q[RIM + 2] > f4(0):
+                    area.rim(n, q[RIM_POWER], nx, ny, nz, vx, vy, vz, e, s)
+                    if slots[k, SPECULAR_SLOT] >= 0:
+                        area.add_specular(m, s, q[RIM], q[RIM + 1], q[RIM + 2], layers[slots[k, SPECULAR_SLOT], y, 3 * x : 3 * (x + m)])
+                    if to_beauty and dull:
+                        leaf.put(n, s, q[RIM], q[RIM + 1], q[RIM + 2], sr, sg, sb)
+                        dull = False
+                    elif to_beauty:
+                        leaf.add(n, s, q[RIM], q[RIM + 1], q[RIM + 2], sr, sg, sb)
             if to_beauty and not alone:
                 if dark:
                     leaf.put(n, known, f4(0), f4(0), f4(0), dr, dg, db)
@@ -164,6 +226,7 @@ def shade(
     slots: npt.NDArray[np.int32],
     mattes: Float32,
     *,
+    glows: Float32 | None = None,
     layers: Float32 | None = None,
     plate: Float32 | None = None,
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
@@ -171,7 +234,8 @@ def shade(
 ) -> None:
     """Write the layers that `slots` ask for, and the relit plate where `beauty` is given.
 
-    lights : (n, COLUMNS) float32;  slots : (n, 3) int32;  mattes : (k, H, W) float32, 0..1, NaN counts as 0.
+    lights : (n, COLUMNS) float32;  slots : (n, SLOTS) int32;  mattes : (k, H, W) float32, 0..1, NaN counts as 0.
+    glows  : (j, area_rows.NODES), the tables of the GGX rows.
     layers : (slots, H, W, 3);  plate, beauty : (H, W, 3).  All C-contiguous and of one size: the caller has checked.
     """
     height, width = surface.N.shape[:2]
@@ -181,11 +245,12 @@ def shade(
     P, rays, N, flat_albedo = _flat(surface.P), _flat(surface.rays), _flat(surface.N), _flat(albedo)
     flat_plate, flat_beauty = _flat(plate), _flat(beauty)
     gains = np.array(gain, np.float32)
+    tables = np.zeros((1, area.NODES), np.float32) if glows is None else glows
 
     def run(first: int, end: int) -> None:
         _rows(
             first, end, surface.P is not None, surface.rays is not None, P, Z, rays, N, fx, fy, cx, cy, flat_albedo,
-            lights, slots, mattes, flat_layers, flat_plate, gains, flat_beauty, beauty is not None, albedo is plate,
+            lights, slots, mattes, tables, flat_layers, flat_plate, gains, flat_beauty, beauty is not None, albedo is plate,
         )  # fmt: skip
 
     in_row_blocks(run, height)

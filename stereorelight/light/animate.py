@@ -223,7 +223,7 @@ class LightTrack:
     @property
     def shines(self) -> bool:
         """Whether it has a specular layer: on every frame, where any of them has a highlight."""
-        return any(self.at(frame).specular > 0 for frame in self.moving.key_frames())
+        return any(self.at(frame).shines for frame in self.moving.key_frames())
 
     def layer_names(self) -> list[str]:
         """The layers that it has on every frame."""

@@ -1,7 +1,8 @@
-"""Lights as values: point, directional and spot, each refused when made where it could not exist.
+"""Lights as values: point, directional, spot, ball and rectangle, each refused when made where it could not exist.
 
 Units: intensity 1 makes a white card that faces the light at 1 m read exactly 1.0 (linear); a directional light has no
-distance, and its facing card reads 1.0 anywhere.  Metres, degrees; colours are linear.
+distance, and its facing card reads 1.0 anywhere.  A light with a size has a radiance such that radiance times its area as seen
+head on is pi times its strength: on its axis and from afar it reads as the point light does, whatever its size.  Metres, degrees; colours are linear.
 Frames: `space = "camera"` is the scene frame of the camera (x right, y up, the camera looks down -z), `"world"` the frame
 that `Camera.world_from_camera` leads to.  Source: the paper's section 5, equations 6-11; errata in docs/paper.md."""
 
@@ -18,11 +19,14 @@ import numpy.typing as npt
 
 from stereorelight.arrays import Float64
 from stereorelight.errors import ShotError, nearest_hint
+from stereorelight.light.kelvin import COLDEST_K, HOTTEST_K, kelvin_color
 
 Vector = tuple[float, float, float]
 Attenuation = Literal["inverse_square", "linear", "none", "radius"]
 ATTENUATIONS = ("inverse_square", "linear", "none", "radius")
 SPACES = ("camera", "world")
+Model = Literal["phong", "ggx", "lambert"]
+MODELS = ("phong", "ggx", "lambert")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 FARTHEST_M = 1e6  # farther away, a light is directional for every purpose, and float32 runs out of digits
 STRONGEST = 1e12  # of intensity * 2^exposure; keeps every layer finite
@@ -36,7 +40,10 @@ class Light:
     name           : letters, digits and _; names its layers `light_<name>_diffuse` and `light_<name>_specular`.
     intensity      : >= 0, times 2^exposure (exposure in stops).
     color          : linear tint, >= 0.
+    kelvin         : colour temperature instead of `color`; luminance 1, 6504 K is white (light/kelvin.py).
     enabled        : False leaves the light and its layers out.
+    solo           : where any enabled light is solo, only solo lights shine and have layers.
+    group          : name of the group that its layers are summed up in, or None.
     matte          : name of the matte that it shines through, or None.
     diffuse        : strength of the Lambert part, >= 0.
     specular       : strength of the highlight, >= 0; at 0 there is no specular layer.
@@ -45,6 +52,11 @@ class Light:
     normalised     : scale the lobe by (exponent + 2) / 2: with strength 1, lit and seen head on, the highlight then
                      sends back as much light as a white card, whatever its exponent.
     wrap           : 0..1, how far the light reaches round the surface: max(0, (N.L + wrap) / (1 + wrap)).
+    model          : of the surface: "phong", "ggx" (Smith height-correlated, what bounces between facets given back), or "lambert",
+                     which has no highlight.
+    roughness      : 0..1 of GGX, alpha = roughness^2; below 0.045 as 0.045.
+    f0, ior        : what GGX reflects head on, with Schlick's formula (default 0.04); or its index of refraction, with the exact one.
+    rim            : strength of a rim, rim_color * (1 - N.V)^rim_power times the light that arrives; part of the specular layer.
     space          : "camera" or "world".
     Raises         : ShotError naming the light, the key, what was wanted, what came, and the remedy.
     """
@@ -55,13 +67,23 @@ class Light:
     intensity: float = 1.0
     exposure: float = 0.0
     color: Vector = (1.0, 1.0, 1.0)
+    kelvin: float | None = None
     enabled: bool = True
+    solo: bool = False
+    group: str | None = None
     matte: str | None = None
     diffuse: float = 1.0
     specular: float = 0.0
     exponent: float = 32.0
     specular_tint: Vector = (1.0, 1.0, 1.0)
     normalised: bool = False
+    model: Model = "phong"
+    roughness: float = 0.5
+    f0: float | None = None
+    ior: float | None = None
+    rim: float = 0.0
+    rim_power: float = 3.0
+    rim_color: Vector = (1.0, 1.0, 1.0)
     wrap: float = 0.0
     space: Literal["camera", "world"] = "camera"
 
@@ -81,6 +103,23 @@ class Light:
         self._number("wrap", low=0, high=1)
         self._vector("color", low=0, high=1e6)
         self._vector("specular_tint", low=0, high=1e6)
+        if self.kelvin is not None:
+            self._number("kelvin", low=COLDEST_K, high=HOTTEST_K, remedy="tungsten is 3200, daylight 5600")
+            if self.color != (1.0, 1.0, 1.0):
+                raise self._error("kelvin", "must stand alone, without color", "both", "remove one of them")
+        self._word("model", MODELS)
+        self._number("roughness", low=0, high=1, remedy="0 is a mirror, 1 is dull; Phong's is `exponent`")
+        for key, low, high in (("f0", 0.0, 1.0), ("ior", 1.0, 10.0)):
+            if getattr(self, key) is not None:
+                self._number(key, low=low, high=high)
+        if self.f0 is not None and self.ior is not None:
+            raise self._error("f0", "must stand alone, without ior", "both", "remove one of them")
+        self._number("rim", low=0, high=1e6)
+        self._number("rim_power", low=1, high=100)
+        self._vector("rim_color", low=0, high=1e6)
+        self._flag("solo")
+        if self.group is not None and (not isinstance(self.group, str) or not NAME.fullmatch(self.group)):
+            raise self._error("group", "must be a name of letters, digits and _", repr(self.group), "leave it out for no group")
         self._flag("enabled")
         self._flag("normalised")
         self._word("space", SPACES)
@@ -91,6 +130,16 @@ class Light:
     def strength(self) -> float:
         """intensity * 2^exposure."""
         return float(self.intensity * 2.0**self.exposure)
+
+    @property
+    def tint(self) -> Vector:
+        """Its colour, by `color` or `kelvin`."""
+        return self.color if self.kelvin is None else kelvin_color(self.kelvin)
+
+    @property
+    def shines(self) -> bool:
+        """Whether it has a specular layer of its own accord."""
+        return (self.specular > 0 and self.model != "lambert") or self.rim > 0
 
     def _error(self, key: str, wanted: str, came: str, remedy: str = "") -> ShotError:
         return ShotError(f"light {self.name!r}: {key} {wanted}, got {came}" + (f"; {remedy}" if remedy else ""))
@@ -243,8 +292,96 @@ class DirectionalLight(Light):
         return -np.array([math.sin(t) * math.cos(p), math.sin(p), math.cos(p) * math.cos(t)])
 
 
+@dataclass(frozen=True, kw_only=True)
+class SphereLight(Light):
+    """A ball that shines alike on all sides; inverse square, softened by its size.
+
+    position_m : of its centre.     radius_m : > 0.  A surface inside the ball is lit as one that touches it.
+    Until the horizon of the surface cuts into the ball, its diffuse light is exactly that of a point light at its centre.
+    """
+
+    kind: ClassVar[str] = "sphere"
+
+    position_m: Vector
+    radius_m: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._place("position_m")
+        self._number("radius_m", low=1e-4, high=FARTHEST_M)
+        _refuse_wrap(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RectLight(Light):
+    """A flat rectangle that shines from its front alone, as paper would (by the cosine of the angle off its axis).
+
+    position_m         : of its centre.     size_m : (width, height), metres, along the sides that `up` makes level and upright.
+    aim_m or direction : the point that it looks at, or the way that its light travels; exactly one of them.
+    up, roll_deg       : what its height points to, as far as its aim allows; turned clockwise as seen from behind it.
+    """
+
+    kind: ClassVar[str] = "rect"
+
+    position_m: Vector
+    size_m: tuple[float, float]
+    aim_m: Vector | None = None
+    direction: Vector | None = None
+    up: Vector = (0.0, 1.0, 0.0)
+    roll_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._place("position_m")
+        try:
+            if isinstance(self.size_m, (str, Mapping)) or any(isinstance(v, (bool, str)) for v in self.size_m):
+                raise TypeError
+            w, h = (float(v) for v in self.size_m)
+        except (TypeError, ValueError):
+            raise self._error("size_m", "must be two numbers, [width, height]", repr(self.size_m)) from None
+        if not all(1e-4 <= v <= FARTHEST_M for v in (w, h)):
+            raise self._error("size_m", f"must be two numbers in 0.0001 ... {FARTHEST_M:g}", f"[{w:g}, {h:g}]")
+        object.__setattr__(self, "size_m", (w, h))
+        if (self.aim_m is None) == (self.direction is None):
+            came = "neither" if self.aim_m is None else "both"
+            raise self._error("aim_m or direction", "must be given, one of them", came, "aim_m is a point to look at")
+        if self.direction is not None:
+            self._direction("direction")
+        else:
+            self._place("aim_m")
+            if math.dist(self.aim_m or (0, 0, 0), self.position_m) < 1e-6:
+                raise self._error("aim_m", "must not be where the light is", f"{list(self.position_m)} for both", "move one of them")
+        self._direction("up")
+        self._number("roll_deg", low=-3600, high=3600)
+        _refuse_wrap(self)
+
+    @property
+    def shines_to(self) -> Float64:
+        """(3,) unit vector along which the light travels."""
+        way = np.array(self.direction) if self.direction is not None else np.array(self.aim_m) - self.position_m
+        unit: Float64 = way / np.linalg.norm(way)
+        return unit
+
+    @property
+    def sides(self) -> tuple[Float64, Float64]:
+        """Unit vectors along its width and its height."""
+        forward, up = self.shines_to, np.array(self.up) / np.linalg.norm(self.up)
+        if abs(forward @ up) > 0.9999:  # straight up or down: any upright will do, so long as it is always the same
+            up = np.array([0.0, 0.0, -1.0]) if abs(forward[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+        right = np.cross(forward, up)
+        right /= np.linalg.norm(right)
+        up = np.cross(right, forward)
+        turn = math.radians(self.roll_deg)
+        return math.cos(turn) * right - math.sin(turn) * up, math.cos(turn) * up + math.sin(turn) * right
+
+
+def _refuse_wrap(light: Light) -> None:
+    if light.wrap:
+        raise ShotError(f"light {light.name!r}: wrap belongs to lights without a size, got {light.wrap:g}; make this one larger instead")
+
+
 def lights_from_dicts(tables: Sequence[Mapping[str, Any]]) -> tuple[Light, ...]:
-    """The lights of a file's `[[lights]]` tables, in order: keys as in the classes, and `type = "point" | "directional" | "spot"`.
+    """The lights of a file's `[[lights]]` tables, in order: keys as in the classes, and `type`, one of LIGHTS.
 
     Raises : ShotError for a table that is no light, with the nearest known key or word; and for two lights of one name.
     """
@@ -262,7 +399,7 @@ def _light_from_dict(table: Mapping[str, Any], index: int) -> Light:
         raise ShotError(f"light number {index + 1} must be a table of keys, got {table!r}; begin each light with [[lights]]")
     label = f"light {table['name']!r}" if "name" in table else f"light number {index + 1}"
     if "type" not in table:
-        raise ShotError(f'{label}: type is missing; add type = "point", "directional" or "spot"')
+        raise ShotError(f'{label}: type is missing; add type = "point", "directional", "spot", "sphere" or "rect"')
     cls = LIGHTS.get(table["type"]) if isinstance(table["type"], str) else None
     if cls is None:
         raise ShotError(f"{label}: type {table['type']!r} is unknown{nearest_hint(str(table['type']), LIGHTS)}")
@@ -275,7 +412,7 @@ def _light_from_dict(table: Mapping[str, Any], index: int) -> Light:
             raise ShotError(f"{label}: key {key!r} is unknown{nearest_hint(key, [*known, 'type'])}")
     for key, f in known.items():
         if f.default is MISSING and key not in table:
-            example = '"key"' if key == "name" else "[x, y, z]"
+            example = {"name": '"key"', "radius_m": "0.2", "size_m": "[width, height]"}.get(key, "[x, y, z]")
             raise ShotError(f"{label}: {key} is missing; add {key} = {example}")
     return cls(**{key: value for key, value in table.items() if key != "type"})
 
@@ -309,7 +446,10 @@ def in_camera(light: Light, world_from_camera: npt.ArrayLike) -> Light:
 
     if isinstance(light, SpotLight):
         return replace(light, space="camera", position_m=vector(light.position_m - t), aim_m=None, direction=vector(light.shines_to))
-    if isinstance(light, PointLight):
+    if isinstance(light, RectLight):
+        aim, up = vector(light.shines_to), vector(light.sides[1])
+        return replace(light, space="camera", position_m=vector(light.position_m - t), aim_m=None, direction=aim, up=up, roll_deg=0.0)
+    if isinstance(light, (PointLight, SphereLight)):
         return replace(light, space="camera", position_m=vector(light.position_m - t))
     if isinstance(light, DirectionalLight):
         return replace(light, space="camera", azimuth_deg=None, elevation_deg=None, aim=vector(light.shines_to))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,8 @@ from stereorelight.arrays import Float32, as_float32
 from stereorelight.camera import Camera
 from stereorelight.engine.gain import checked_gain
 from stereorelight.errors import PassError, ShotError, nearest_hint
-from stereorelight.light.lights import DirectionalLight, Light, PointLight, SpotLight, in_camera
+from stereorelight.light.lights import DirectionalLight, Light, PointLight, RectLight, SphereLight, SpotLight, in_camera
+from stereorelight.light.materials import Material, covers, ggx_alpha, glow_table, reflectance
 
 HARD_EDGE = 1e-6  # radians over which a cone without penumbra falls
 
@@ -29,13 +31,15 @@ def light_layers(
     lights: Sequence[Light],
     *,
     mattes: Mapping[str, npt.ArrayLike] | None = None,
+    materials: Sequence[Material] = (),
     camera: Camera | None = None,
 ) -> dict[str, Float32]:
-    """Every enabled light's own layers: `light_<name>_diffuse` always, `light_<name>_specular` where `specular` > 0.
+    """Every enabled light's own layers: `light_<name>_diffuse` always, `light_<name>_specular` where it or a material has a highlight or a rim.
 
     P, N    : (H, W, 3), scene frame of the camera; metres, unit.  NaN where unknown.
     albedo  : (H, W, 3), linear; the plate where nothing better is known.  Where it is NaN the diffuse light is 0.
     mattes  : (H, W) in 0..1 by the name that a light's `matte` holds; NaN counts as 0.
+    materials : surfaces by matte, which take the place of the lights' own settings there; later ones lie over earlier ones.
     camera  : its pose places lights in world space; without one, world = camera.
     Returns : layers in the order of the lights.  diffuse = albedo * strength * max(0, N.L), specular = strength * max(0, R.V)^exponent,
               V = normalize(-P), R the mirror image of L; nothing where N.L <= 0 (but for `wrap`).  Their sum is the light's whole effect.
@@ -49,17 +53,18 @@ def light_layers(
     albedo_ = as_float32(albedo, "albedo", channels=3, size_hw=size_hw)
     shining = _shining(lights, camera)
     names: list[str] = []
-    slots = np.full((len(shining), 3), -1, np.int32)
-    for row, light in zip(slots, shining):
-        row[engine.DIFFUSE_SLOT] = len(names)
+    slots: list[tuple[int, int]] = []
+    for light in shining:
+        specular = -1
         names.append(f"light_{light.name}_diffuse")
-        if light.specular > 0:
-            row[engine.SPECULAR_SLOT] = len(names)
+        if light.shines or any(material.under(light).shines for material in materials):
+            specular = len(names)
             names.append(f"light_{light.name}_specular")
-    matte_stack = _assign_mattes(shining, mattes or {}, size_hw, slots[:, engine.MATTE])
+        slots.append((names.index(f"light_{light.name}_diffuse"), specular))
     layers = np.empty((len(names), *size_hw, 3), np.float32)
     if shining:
-        engine.shade(engine.Surface(P=P_, N=N_), albedo_, _table(shining), slots, matte_stack, layers=layers)
+        rows = _rows(shining, materials, mattes or {}, size_hw, slots)
+        engine.shade(engine.Surface(P=P_, N=N_), albedo_, rows.table, rows.slots, rows.mattes, glows=rows.glows, layers=layers)
     return dict(zip(names, layers))
 
 
@@ -73,6 +78,7 @@ def relight_fused(
     albedo: npt.ArrayLike | None = None,
     plate_gain: float | Sequence[float] = 1.0,
     mattes: Mapping[str, npt.ArrayLike] | None = None,
+    materials: Sequence[Material] = (),
     rays: npt.ArrayLike | None = None,
 ) -> Float32:
     """The relit plate in one pass, without P or layers in memory: the same as `light_layers` and `comp.relight`, to float precision.
@@ -96,11 +102,10 @@ def relight_fused(
     rays_ = None if rays is None else as_float32(rays, "rays", channels=2, size_hw=camera.size_hw)
     if camera.distorts and rays_ is None:
         rays_ = camera.ray_grid()
-    slots = np.full((len(shining), 3), -1, np.int32)
-    matte_stack = _assign_mattes(shining, mattes or {}, camera.size_hw, slots[:, engine.MATTE])
+    rows = _rows(shining, materials, mattes or {}, camera.size_hw, [(-1, -1)] * len(shining))
     surface = engine.Surface(Z=Z_, N=N_, rays=rays_, pinhole=(camera.fx, camera.fy, camera.cx, camera.cy))
     beauty = np.empty_like(plate_)
-    engine.shade(surface, albedo_, _table(shining), slots, matte_stack, plate=plate_, gain=gain, beauty=beauty)
+    engine.shade(surface, albedo_, rows.table, rows.slots, rows.mattes, glows=rows.glows, plate=plate_, gain=gain, beauty=beauty)
     return beauty
 
 
@@ -112,23 +117,88 @@ def _shining(lights: Sequence[Light], camera: Camera | None) -> list[Light]:
             raise ShotError(f"light {light.name!r}: name is taken by an earlier light; names must differ, since they name the layers")
         seen.add(light.name)
     pose = np.eye(4) if camera is None else camera.world_from_camera
-    return [in_camera(light, pose) for light in lights if light.enabled]
+    alone = any(light.solo for light in lights if light.enabled)
+    return [in_camera(light, pose) for light in lights if light.enabled and (light.solo or not alone)]
 
 
-def _assign_mattes(lights: Sequence[Light], mattes: Mapping[str, npt.ArrayLike], size_hw: tuple[int, int], column: npt.NDArray[np.int32]) -> Float32:
-    """(k, H, W) of the mattes in use, each once; `column` gets every light's index into it."""
-    used = list(dict.fromkeys(light.matte for light in lights if light.matte is not None))
-    stack = np.empty((len(used), *size_hw), np.float32)
-    for index, name in enumerate(used):
-        holders = [k for k, light in enumerate(lights) if light.matte == name]
-        if name not in mattes:
-            raise ShotError(f"light {lights[holders[0]].name!r}: matte {name!r} is missing{nearest_hint(name, mattes) or '; there are none'}")
-        stack[index] = as_float32(mattes[name], f"matte {name!r}", size_hw=size_hw)
-        low, high = float(np.fmin.reduce(stack[index], axis=None)), float(np.fmax.reduce(stack[index], axis=None))
-        if low < 0 or high > 1:
-            raise PassError(f"matte {name!r} must lie in 0 ... 1, got {low if low < 0 else high:.4g}; divide 8-bit values by 255")
-        column[holders] = index
-    return stack
+def group_layers(layers: Mapping[str, Float32], lights: Sequence[Light]) -> dict[str, Float32]:
+    """`group_<name>`, (H, W, 3), for every group that a light names: the sum of its lights' layers."""
+    groups: dict[str, Float32] = {}
+    for light in lights:
+        for part in ("diffuse", "specular"):
+            layer = layers.get(f"light_{light.name}_{part}")
+            if light.group is not None and layer is not None:
+                name = f"group_{light.group}"
+                groups[name] = groups[name] + layer if name in groups else layer.copy()
+    return groups
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Rows:
+    """What the engine wants: its table, the integer table, the mattes (k, H, W), and the tables of GGX."""
+
+    table: Float32
+    slots: npt.NDArray[np.int32]
+    mattes: Float32
+    glows: Float32
+
+
+def _rows(
+    lights: Sequence[Light],
+    materials: Sequence[Material],
+    mattes: Mapping[str, npt.ArrayLike],
+    size_hw: tuple[int, int],
+    layers: Sequence[tuple[int, int]],
+) -> _Rows:
+    """One row for every light on every material, the lights' own settings first."""
+    from stereorelight.engine import light as engine
+    from stereorelight.engine.area_rows import NODES
+
+    stack: list[Float32] = []
+    indices: dict[str, int] = {}
+    askers = [(light.matte, f"light {light.name!r}") for light in lights] + [(m.matte, f"material {m.name!r}") for m in materials]
+    for name, asker in askers:
+        if name is not None and name not in indices:
+            indices[name] = len(stack)
+            stack.append(_matte(name, asker, mattes, size_hw))
+    own = -1
+    first = len(stack)
+    if materials:
+        left, shares = covers(materials, {m.matte: stack[indices[m.matte]] for m in materials})
+        stack += [left, *shares]
+        own = first
+    rows: list[Light] = []
+    slots: list[list[int]] = []
+    glows: dict[float, int] = {}
+    for light, (diffuse, specular) in zip(lights, layers):
+        for index, surface in enumerate([light, *(material.under(light) for material in materials)]):
+            slot = [-1] * engine.SLOTS
+            slot[engine.MATTE] = -1 if light.matte is None else indices[light.matte]
+            slot[engine.DIFFUSE_SLOT], slot[engine.SPECULAR_SLOT] = diffuse, specular
+            slot[engine.COVER] = own if index == 0 else first + index
+            slot[engine.SHAPE] = {SphereLight: engine.BALL, RectLight: engine.RECTANGLE}.get(type(light), engine.POINT)
+            slot[engine.MODEL] = engine.GGX if surface.model == "ggx" else engine.PHONG
+            slot[engine.ADDS] = int(index > 0)
+            if surface.model == "ggx":
+                slot[engine.GLOW] = glows.setdefault(ggx_alpha(surface), len(glows))
+            rows.append(surface)
+            slots.append(slot)
+    return _Rows(
+        table=_table(rows),
+        slots=np.array(slots, np.int32).reshape(-1, engine.SLOTS),
+        mattes=np.stack(stack) if stack else np.empty((0, *size_hw), np.float32),
+        glows=np.array([glow_table(alpha, NODES) for alpha in glows], np.float32).reshape(-1, NODES),
+    )
+
+
+def _matte(name: str, asker: str, mattes: Mapping[str, npt.ArrayLike], size_hw: tuple[int, int]) -> Float32:
+    if name not in mattes:
+        raise ShotError(f"{asker}: matte {name!r} is missing{nearest_hint(name, mattes) or '; there are none'}")
+    matte = as_float32(mattes[name], f"matte {name!r}", size_hw=size_hw)
+    low, high = float(np.fmin.reduce(matte, axis=None)), float(np.fmax.reduce(matte, axis=None))
+    if low < 0 or high > 1:
+        raise PassError(f"matte {name!r} must lie in 0 ... 1, got {low if low < 0 else high:.4g}; divide 8-bit values by 255")
+    return matte
 
 
 def _table(lights: Sequence[Light]) -> Float32:
@@ -137,10 +207,15 @@ def _table(lights: Sequence[Light]) -> Float32:
 
     table = np.zeros((len(lights), engine.COLUMNS), np.float64)
     for row, light in zip(table, lights):
-        tint = light.strength * np.array(light.color)
+        tint = light.strength * np.array(light.tint)
         row[engine.DIFFUSE : engine.DIFFUSE + 3] = tint * light.diffuse
-        lobe = (light.exponent + 2) / 2 if light.normalised else 1.0
-        row[engine.SPECULAR : engine.SPECULAR + 3] = tint * light.specular * lobe * np.array(light.specular_tint)
+        if light.model != "lambert":
+            lobe = (light.exponent + 2) / 2 if light.normalised and light.model == "phong" else 1.0
+            row[engine.SPECULAR : engine.SPECULAR + 3] = tint * light.specular * lobe * np.array(light.specular_tint)
+        if light.model == "ggx":
+            row[engine.ALPHA2], row[engine.F0], row[engine.IOR] = ggx_alpha(light) ** 2, reflectance(light), light.ior or 0.0
+        row[engine.RIM : engine.RIM + 3] = tint * light.rim * np.array(light.rim_color)
+        row[engine.RIM_POWER] = light.rim_power
         row[engine.EXPONENT] = light.exponent
         row[engine.WRAP_SCALE], row[engine.WRAP_OFFSET] = 1 / (1 + light.wrap), light.wrap / (1 + light.wrap)
         if isinstance(light, DirectionalLight):
@@ -153,6 +228,14 @@ def _table(lights: Sequence[Light]) -> Float32:
             row[fall] = 1
             if light.radius_m is not None:
                 row[engine.WINDOW] = light.radius_m**-4.0
+        elif isinstance(light, SphereLight):
+            row[engine.PLACE : engine.PLACE + 3] = light.position_m
+            row[engine.IS_PLACE], row[engine.RADIUS] = 1, light.radius_m
+        elif isinstance(light, RectLight):
+            row[engine.PLACE : engine.PLACE + 3] = light.position_m
+            row[engine.AXIS : engine.AXIS + 3] = light.shines_to
+            row[engine.SIDE_U : engine.SIDE_U + 3], row[engine.SIDE_V : engine.SIDE_V + 3] = light.sides
+            row[engine.IS_PLACE], row[engine.HALF_U], row[engine.HALF_V] = 1, light.size_m[0] / 2, light.size_m[1] / 2
         else:
             raise ShotError(f"light {light.name!r}: a light of type {type(light).__name__} cannot be shaded")
         if isinstance(light, SpotLight):
