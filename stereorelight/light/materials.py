@@ -18,7 +18,7 @@ from stereorelight.light.checks import Checked, Vector, checked_keys
 from stereorelight.light.lights import NAME, Light, PointLight
 
 LEAST_ALPHA = 0.002  # of GGX: a highlight smaller than that of roughness 0.045 is smaller than any pixel
-_SAMPLES = 64  # in each of two directions, for the albedo of a lobe
+_SAMPLES = 96  # in each of two directions, for the albedo of a lobe
 
 
 @dataclass(frozen=True, kw_only=True)
