@@ -154,6 +154,44 @@ def _edge(px, py, pz, qx, qy, qz, nx, ny, nz):
     return angle * (cx * nx + cy * ny + cz * nz) / (s if s > f4(1e-30) else f4(1e30))
 
 
+@kernel(inline="always")
+def _clipped(a, b, c, h0, ux, uy, uz, hu, wx, wy, wz, hw, half_w, half_h, su, sw, tu, tw, X, Y, Z):
+    """Lambert's term of the side between the corners (su, sw) and (tu, tw), what lies below the horizon cut off; where it leaves
+    the horizon, and where it enters, 0 where it does not."""
+    sx = a + su * half_w * ux + sw * half_h * wx
+    sy = b + su * half_w * uy + sw * half_h * wy
+    sz = c + su * half_w * uz + sw * half_h * wz
+    tx = a + tu * half_w * ux + tw * half_h * wx
+    ty = b + tu * half_w * uy + tw * half_h * wy
+    tz = c + tu * half_w * uz + tw * half_h * wz
+    hs = h0 + su * hu + sw * hw
+    ht = h0 + tu * hu + tw * hw
+    above_s = hs > f4(0)
+    above_t = ht > f4(0)
+    leaves = above_s & (ht <= f4(0))
+    enters = above_t & (hs <= f4(0))
+    k = hs / (hs - ht if leaves | enters else f4(1))
+    cx = sx + k * (tx - sx)
+    cy = sy + k * (ty - sy)
+    cz = sz + k * (tz - sz)
+    sx = cx if enters else sx
+    sy = cy if enters else sy
+    sz = cz if enters else sz
+    tx = cx if leaves else tx
+    ty = cy if leaves else ty
+    tz = cz if leaves else tz
+    term = _edge(sx, sy, sz, tx, ty, tz, X, Y, Z)
+    return (
+        term if above_s | above_t else f4(0),
+        cx if leaves else f4(0),
+        cy if leaves else f4(0),
+        cz if leaves else f4(0),
+        cx if enters else f4(0),
+        cy if enters else f4(0),
+        cz if enters else f4(0),
+    )
+
+
 @kernel()
 def rectangle(
     n, lx, ly, lz, mx, my, mz, ux, uy, uz, wx, wy, wz, half_w, half_h, px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax, ay, az, e, front, tx2, ty2
@@ -178,41 +216,18 @@ def rectangle(
         h0 = X * a + Y * b + Z * c
         hu = half_w * (X * ux + Y * uy + Z * uz)
         hw = half_h * (X * wx + Y * wy + Z * wz)
-        total = f4(0)
-        out_x, out_y, out_z, in_x, in_y, in_z = f4(0), f4(0), f4(0), f4(0), f4(0), f4(0)
-        for corner in range(4):
-            su = f4(1) if corner == 0 or corner == 3 else f4(-1)
-            sw = f4(1) if corner < 2 else f4(-1)
-            tu = f4(1) if corner == 3 or corner == 2 else f4(-1)
-            tw = f4(1) if corner == 0 or corner == 3 else f4(-1)
-            sx = a + su * half_w * ux + sw * half_h * wx
-            sy = b + su * half_w * uy + sw * half_h * wy
-            sz = c + su * half_w * uz + sw * half_h * wz
-            tx = a + tu * half_w * ux + tw * half_h * wx
-            ty = b + tu * half_w * uy + tw * half_h * wy
-            tz = c + tu * half_w * uz + tw * half_h * wz
-            hs = h0 + su * hu + sw * hw
-            ht = h0 + tu * hu + tw * hw
-            above_s = hs > f4(0)
-            above_t = ht > f4(0)
-            leaves = above_s & (ht <= f4(0))
-            enters = above_t & (hs <= f4(0))
-            cut = leaves | enters
-            k = hs / (hs - ht if cut else f4(1))
-            cx = sx + k * (tx - sx)
-            cy = sy + k * (ty - sy)
-            cz = sz + k * (tz - sz)
-            term = _edge(
-                cx if enters else sx, cy if enters else sy, cz if enters else sz,
-                cx if leaves else tx, cy if leaves else ty, cz if leaves else tz, X, Y, Z,
-            )  # fmt: skip
-            total += term if above_s | above_t else f4(0)
-            out_x = cx if leaves else out_x
-            out_y = cy if leaves else out_y
-            out_z = cz if leaves else out_z
-            in_x = cx if enters else in_x
-            in_y = cy if enters else in_y
-            in_z = cz if enters else in_z
+        e0, ox0, oy0, oz0, ix0, iy0, iz0 = _clipped(a, b, c, h0, ux, uy, uz, hu, wx, wy, wz, hw, half_w, half_h, f4(1), f4(1), f4(-1), f4(1), X, Y, Z)
+        e1, ox1, oy1, oz1, ix1, iy1, iz1 = _clipped(
+            a, b, c, h0, ux, uy, uz, hu, wx, wy, wz, hw, half_w, half_h, f4(-1), f4(1), f4(-1), f4(-1), X, Y, Z
+        )
+        e2, ox2, oy2, oz2, ix2, iy2, iz2 = _clipped(
+            a, b, c, h0, ux, uy, uz, hu, wx, wy, wz, hw, half_w, half_h, f4(-1), f4(-1), f4(1), f4(-1), X, Y, Z
+        )
+        e3, ox3, oy3, oz3, ix3, iy3, iz3 = _clipped(a, b, c, h0, ux, uy, uz, hu, wx, wy, wz, hw, half_w, half_h, f4(1), f4(-1), f4(1), f4(1), X, Y, Z)
+        # At most one side leaves the horizon and one enters it; between the two runs a side along the horizon.
+        total = (e0 + e1) + (e2 + e3)
+        out_x, out_y, out_z = ox0 + ox1 + ox2 + ox3, oy0 + oy1 + oy2 + oy3, oz0 + oz1 + oz2 + oz3
+        in_x, in_y, in_z = ix0 + ix1 + ix2 + ix3, iy0 + iy1 + iy2 + iy3, iz0 + iz1 + iz2 + iz3
         total += _edge(out_x, out_y, out_z, in_x, in_y, in_z, X, Y, Z)
         r = f4(1) / math.sqrt(d2)
         cos = ahead * r

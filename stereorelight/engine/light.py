@@ -49,7 +49,7 @@ MOST_SQUARED = 128  # whole exponents up to here are raised by squaring; beyond,
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever light_rows.py does;
 # tests/test_light_layers.py holds the two together.
 LEAVES = "a3052093c420e9c8"
-AREA_LEAVES = "092e1abdf42adebd"
+AREA_LEAVES = "cb9853d95500faab"
 STRIP = 2048  # its rows stay in the second-level cache
 PADDING = 80  # rows a whole page apart would fall onto the same cache lines
 VECTOR = 64  # whole vectors, unrolled, on any machine of today
