@@ -70,6 +70,7 @@ PREFIXED_ROLES: Mapping[str, Role] = MappingProxyType(
     {
         "light_": Role(3, "one light's layer", colour=True),
         "env_": Role(3, "one layer of the environment's light", colour=True),
+        "group_": Role(3, "the sum of a group of lights' layers", colour=True),
         "matte_": Role(None, "a matte", low=0, high=1),
     }
 )

@@ -305,3 +305,48 @@ def test_the_plate_behind_glass_is_no_gain(tmp_path: Path) -> None:
     assert lit.layers["env_refraction"].max() > 0.3
     with pytest.raises(ShotError, match="cannot gain"):
         lighting(tmp_path, text + '[relight]\nmode = "multiply"\n').lit(1, plate=PLATE, passes=wall(), camera=CAMERA)
+
+
+SURFACES = (
+    '[[mattes]]\nname = "left"\ntype = "plane"\npoint_m = [0, 0, 0]\nnormal = [-1, 0, 0]\n'
+    '[[materials]]\nname = "lacquer"\nmatte = "left"\nmodel = "ggx"\nroughness = { keys = [[1, 0.2], [9, 0.6]] }\nspecular = 1.0\n'
+)
+
+
+def test_a_material_shines_in_its_matte_alone(tmp_path: Path) -> None:
+    dull = LAMP.replace("specular = 0.2", "specular = 0.0").replace("[0.3, 0.2, -1]", "[0, 0, -1]")
+    made = lighting(tmp_path, dull + SURFACES)
+    first, last = (made.lit(n, plate=PLATE, passes=wall(), camera=CAMERA).layers["light_lamp_specular"] for n in (1, 9))
+    assert (first[:, 48:] == 0).all()
+    assert first[:, :48].max() > 2 * last[:, :48].max() > 0
+    path = tmp_path / "shot.toml"
+    path.write_text('[plates]\nleft = "a.####.png"\nright = "b.####.png"\n' + SURFACES.replace('matte = "left"', 'matte = "lft"'))
+    with pytest.raises(ShotError, match=r"material 'lacquer': matte 'lft' is missing; did you mean 'left'"):
+        read_shot(path)
+    with pytest.raises(ShotError, match=r"lights\.toml:\d+: material 'lacquer': roughness .* 0 \.\.\. 1"):
+        lighting(tmp_path, dull + SURFACES.replace("0.6]", "1.6]"))
+
+
+def test_solo_and_groups(tmp_path: Path) -> None:
+    """A solo light stands alone while it is on; a group is the sum of its lights, and no part of the beauty."""
+    fill = LAMP.replace("lamp", "fill") + 'group = "set"\n'
+    key = LAMP.replace("lamp", "key") + 'group = "set"\n'
+    lit = lighting(tmp_path, fill + key + LAMP).lit(1, plate=PLATE, passes=wall(), camera=CAMERA)
+    np.testing.assert_allclose(lit.passes()["group_set"], sum(lit.layers[n] for n in lit.layers if "lamp" not in n), rtol=1e-5)
+    np.testing.assert_allclose(lit.beauty, PLATE + sum(lit.layers.values()), rtol=1e-5)
+    solo = lighting(tmp_path, fill + key + 'solo = true\nenabled = { keys = [[1, true], [5, false]], ease = "step" }\n')
+    on, off = (solo.lit(n, plate=PLATE, passes=wall(), camera=CAMERA).layers for n in (1, 5))
+    assert list(on) == list(off)
+    assert (on["light_fill_diffuse"] == 0).all()
+    assert (off["light_fill_diffuse"] > 0).all()
+    assert (off["light_key_diffuse"] == 0).all()
+    always = lighting(tmp_path, fill + key + "solo = true\n")
+    assert always.setup.layer_names == ["light_key_diffuse", "light_key_specular"]
+
+
+def test_lights_with_a_size_go_with_keys_points_and_mattes(tmp_path: Path) -> None:
+    soft = LAMP.replace('type = "point"', 'type = "rect"').replace("[0.3, 0.2, -1]", "{ pixel = [48, 32], offset_m = [0, 0, 0.8] }")
+    text = soft + "size_m = { keys = [[1, [0.1, 0.1]], [9, [0.8, 0.4]]] }\ndirection = [0, 0, -1]\n"
+    made = lighting(tmp_path, text)
+    small, large = (made.lit(n, plate=PLATE, passes=wall(), camera=CAMERA).layers["light_lamp_diffuse"] / PLATE for n in (1, 9))
+    assert small[32, 48, 0] > large[32, 48, 0] > 0

@@ -233,7 +233,7 @@ class LightTrack:
         """The light on `frame`.  Raises ShotError naming light, key and frame."""
         plain = self.moving.at(frame, place)
         if "enabled" in self.moving.curves and plain["enabled"] is False and self.enabled:
-            plain |= {"enabled": True, "intensity": 0.0}
+            plain |= {"enabled": True, "intensity": 0.0, "solo": False}
         try:
             return lights_from_dicts([plain])[0]
         except ShotError as error:

@@ -32,7 +32,7 @@ from stereorelight.light.gobo import gobo_factor
 from stereorelight.light.lights import Light, SpotLight
 from stereorelight.light.mattes import FileMatte, matte_arrays
 from stereorelight.light.place import place_of
-from stereorelight.light.shade import light_layers
+from stereorelight.light.shade import group_layers, light_layers
 from stereorelight.shot.points import Points
 from stereorelight.shot.receipt import file_digest
 from stereorelight.shot.setup import Setup
@@ -47,17 +47,19 @@ class Lit:
 
     layers : every light's own, the same names on every frame.     beauty : the relit plate, or light alone.
     alpha  : of light alone, else None.                            trust  : what light was faded by, else None.
+    groups : sums of layers by the lights' `group`; part of no beauty.
     """
 
     layers: dict[str, Float32]
     beauty: Float32
     alpha: Float32 | None = None
     trust: Float32 | None = None
+    groups: dict[str, Float32] = field(default_factory=dict)
 
     def passes(self) -> dict[str, Float32]:
         """All of it as passes of a file."""
         more = {"alpha": self.alpha, "matte_trust": self.trust}
-        return {"beauty": self.beauty, **{name: array for name, array in more.items() if array is not None}, **self.layers}
+        return {"beauty": self.beauty, **{name: array for name, array in more.items() if array is not None}, **self.layers, **self.groups}
 
 
 def matte_channel(path: Path, channel: str | None) -> Float32:
@@ -260,15 +262,14 @@ class Lighting:
         lights = self.lights(number, P, camera)
         mattes = self.mattes(number, passes, camera, given)
         albedo = np.ones_like(plate) if knobs.mode == "multiply" else plate
-        layers = light_layers(P, N, albedo, lights, mattes=mattes, camera=camera)
+        layers = light_layers(P, N, albedo, lights, mattes=mattes, materials=self.setup.materials_at(number), camera=camera)
         for light in lights:
             layers = self._thrown(layers, light, number, P, camera)
         around = self.setup.environment_at(number)
         if around is not None and around.enabled:
             layers |= self._around(around, number, passes, albedo, plate, mattes, camera)
-        for name in self.setup.layer_names():
-            if name not in layers:  # a highlight that is at 0 on this frame alone
-                layers[name] = np.zeros_like(plate)
+        # The same layers on every frame, in one order: a light or a highlight that is off on this frame alone is black.
+        layers = {name: layers[name] if name in layers else np.zeros_like(plate) for name in self.setup.layer_names}
         trusted = None
         if knobs.fade > 0:
             trusted = trust(
@@ -281,10 +282,11 @@ class Lighting:
             layers = faded(layers, trusted)
         alpha = None
         if knobs.mode == "light_only":
-            held = [light.matte for light in lights if light.enabled] + ([around.matte] if around is not None and around.enabled else [])
+            shining = {light.name for light in self.setup.shining_at(number)}
+            held = [light.matte for light in lights if light.name in shining] + ([around.matte] if around is not None and around.enabled else [])
             alpha = light_alpha(N, [None if name is None else mattes[name] for name in held], trust=trusted)
         beauty = relight(plate, layers, plate_gain=knobs.plate_gain, mode=knobs.mode)
-        return Lit(layers=layers, beauty=beauty, alpha=alpha, trust=trusted)
+        return Lit(layers=layers, beauty=beauty, alpha=alpha, trust=trusted, groups=group_layers(layers, lights))
 
 
 def lighting_of(

@@ -67,20 +67,24 @@ def position_picture(P: Float32, camera: Camera, *, far_m: float) -> UInt8:
     return picture
 
 
+def _lights(shot: Shot) -> list[str]:
+    """`light_<name>` of every light that has layers."""
+    return list(dict.fromkeys(name.rpartition("_")[0] for name in shot.setup.layer_names if name.startswith(LIGHT)))
+
+
 def relit_names(shot: Shot) -> list[str]:
     """The names of `relit_pictures`."""
-    around = ["environment"] if any(name.startswith(AROUND) for name in shot.setup.layer_names()) else []
+    around = ["environment"] if any(name.startswith(AROUND) for name in shot.setup.layer_names) else []
     trust = ["trust"] if shot.tables.relight.fade > 0 else []
-    return [*(LIGHT + track.name for track in shot.setup.lights if track.enabled), *around, *trust, "relit", "before_after", "contact"]
+    return [*_lights(shot), *around, *trust, "relit", "before_after", "contact"]
 
 
 def relit_pictures(job: FrameJob) -> dict[str, UInt8]:
     """Each light alone (diffuse and specular), the relit plate, before and after, and everything on one sheet."""
     made: dict[str, UInt8] = {}
-    for track in job.shot.setup.lights:
-        if track.enabled:
-            parts = [layer for name, layer in job.lit.layers.items() if name.rpartition("_")[0] == LIGHT + track.name]
-            made[LIGHT + track.name] = shown(np.sum(parts, axis=0, dtype=np.float32), job.shot)
+    for light in _lights(job.shot):
+        parts = [layer for name, layer in job.lit.layers.items() if name.rpartition("_")[0] == light]
+        made[light] = shown(np.sum(parts, axis=0, dtype=np.float32), job.shot)
     if around := [layer for name, layer in job.lit.layers.items() if name.startswith(AROUND)]:
         made["environment"] = shown(np.sum(around, axis=0, dtype=np.float32), job.shot)
     if job.lit.trust is not None:

@@ -82,6 +82,8 @@ class DepthTable(Table):
 
 class SurfaceTable(Table):
     method: Literal["plane", "difference"] = "plane"
+    shading: Literal["off", "on"] = "off"
+    shading_strength: float = Field(default=1.0, gt=0, le=4)
 
 
 class RepairTable(Table):
@@ -119,6 +121,7 @@ class ShotTables(Table):
     relight: RelightTable = RelightTable()
     lights: list[dict[str, Any]] = []
     mattes: list[dict[str, Any]] = []
+    materials: list[dict[str, Any]] = []
     environment: dict[str, Any] | None = None
     output: OutputTable = OutputTable()
 
@@ -126,6 +129,7 @@ class ShotTables(Table):
 class LightTables(Table):
     lights: list[dict[str, Any]] = []
     mattes: list[dict[str, Any]] = []
+    materials: list[dict[str, Any]] = []
     environment: dict[str, Any] | None = None
     camera: CameraTable | None = None
     relight: RelightTable = RelightTable()
@@ -300,7 +304,7 @@ def _checked_colour(path: Path, tables: ShotTables, lines: dict[tuple[str | int,
 
 
 def read_light_file(path: str | Path) -> Setup:
-    """A file that holds [[lights]], [[mattes]], [environment], [camera] and [relight], any of them.  Raises ShotError naming file and line."""
+    """A file of [[lights]], [[mattes]], [[materials]], [environment], [camera] and [relight].  Raises ShotError naming file and line."""
     path = Path(path)
     tables, lines = _checked_tables(path, LightTables)
     if "lights" not in tables.model_fields_set and tables.environment is None:
@@ -312,9 +316,16 @@ def _setup(path: Path, tables: LightTables | ShotTables, lines: dict[tuple[str |
     def where(loc: tuple[str | int, ...]) -> str:
         return _where(path, lines, loc)
 
-    found = tables.environment
     return checked_setup(
-        path, where, lights=tables.lights, mattes=tables.mattes, environment=found, camera=tables.camera, relight=tables.relight, given=given
+        path,
+        where,
+        lights=tables.lights,
+        mattes=tables.mattes,
+        materials=tables.materials,
+        environment=tables.environment,
+        camera=tables.camera,
+        relight=tables.relight,
+        given=given,
     )
 
 

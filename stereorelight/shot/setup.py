@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -15,7 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from stereorelight.errors import ShotError, StereoRelightError
 from stereorelight.light.animate import LightTrack, Moving, light_tracks, moving_table
 from stereorelight.light.environment_settings import EnvironmentSettings, environment_from_dict
-from stereorelight.light.lights import SpotLight
+from stereorelight.light.lights import Light, SpotLight
+from stereorelight.light.materials import Material, materials_from_dicts
 from stereorelight.light.mattes import FileMatte, Matte, checked_mattes, known_mattes, matte_from_dict
 
 ENVIRONMENT_PARTS = ("diffuse", "reflection", "refraction")  # layers of it, each with a strength of its own
@@ -53,13 +55,14 @@ class Setup:
 
     path   : the file that says so; the paths in it are from its folder.
     lights : in the file's order, those that are off included.     mattes : in the file's order.
-    environment : light from all around, or None.
+    materials   : surfaces by matte.     environment : light from all around, or None.
     camera : None for a camera that stands at the origin of the world.
     """
 
     path: Path
     lights: tuple[LightTrack, ...] = ()
     mattes: tuple[Moving, ...] = ()
+    materials: tuple[Moving, ...] = ()
     environment: Moving | None = None
     camera: CameraTable | None = None
     relight: RelightTable = field(default_factory=RelightTable)
@@ -72,11 +75,29 @@ class Setup:
         """The same with these keys of [relight]."""
         return replace(self, relight=RelightTable(**(self.relight.model_dump() | knobs)))
 
+    @cached_property
     def layer_names(self) -> list[str]:
-        """The light layers of every frame."""
+        """The light layers of every frame: all that any frame has."""
+        movings = [*(track.moving for track in self.lights), *self.materials]
+        frames: list[float | None] = [*sorted({f for moving in movings for f in moving.key_frames() if f is not None})]
+        made = {name for frame in frames or [None] for light in self.shining_at(frame) for name in self._layers_of(light, frame)}
+        of_lights = [name for track in self.lights for part in ("diffuse", "specular") if (name := f"light_{track.name}_{part}") in made]
         around = [self.environment_at(frame) for frame in self.environment.key_frames()] if self.environment else []
         of_all = [f"env_{part}" for part in ENVIRONMENT_PARTS if any(found and found.enabled and getattr(found, part) > 0 for found in around)]
-        return [*(name for track in self.lights for name in track.layer_names()), *of_all]
+        return [*of_lights, *of_all]
+
+    def shining_at(self, frame: float | None) -> list[Light]:
+        """The lights that have layers on a frame, their stuck places stood in for: those that are on, or the solo ones alone."""
+        lights = [light for track in self.lights if (light := track.at(frame)).enabled]
+        return [light for light in lights if light.solo] or lights
+
+    def _layers_of(self, light: Light, frame: float | None) -> list[str]:
+        shines = light.shines or any(material.under(light).shines for material in self.materials_at(frame))
+        return [f"light_{light.name}_{part}" for part in (("diffuse", "specular") if shines else ("diffuse",))]
+
+    def materials_at(self, frame: float | None) -> tuple[Material, ...]:
+        """The materials of a frame.  Raises ShotError."""
+        return materials_from_dicts([moving.at(frame) for moving in self.materials])
 
     def environment_at(self, frame: float | None) -> EnvironmentSettings | None:
         """The light from all around on a frame.  Raises ShotError."""
@@ -99,6 +120,7 @@ class Setup:
         return {
             "lights": [dict(track.moving.table) for track in self.lights],
             "mattes": [dict(moving.table) for moving in self.mattes],
+            "materials": [dict(moving.table) for moving in self.materials],
             "environment": None if self.environment is None else dict(self.environment.table),
             "camera": None if self.camera is None else self.camera.model_dump(),
             "relight": self.relight.model_dump(),
@@ -121,6 +143,7 @@ def checked_setup(
     *,
     lights: Sequence[Mapping[str, Any]],
     mattes: Sequence[Mapping[str, Any]] = (),
+    materials: Sequence[Mapping[str, Any]] = (),
     environment: Mapping[str, Any] | None = None,
     camera: CameraTable | None = None,
     relight: RelightTable | None = None,
@@ -136,10 +159,22 @@ def checked_setup(
     movings: list[Moving] = []
     for index, table in enumerate(mattes):
         movings.append(_told(where, "mattes", index, table, lambda table=table, index=index: _matte_over(table, index)))  # type: ignore[misc]
+    surfaces: list[Moving] = []
+    for index, table in enumerate(materials):
+        surfaces.append(_told(where, "materials", index, table, lambda table=table, index=index: _material_over(table, index)))  # type: ignore[misc]
     around = None if environment is None else _told(where, "environment", None, environment, lambda: _environment_over(environment))
     knobs = relight or RelightTable()
     try:
-        setup = Setup(path=path, lights=light_tracks(lights), mattes=tuple(movings), environment=around, camera=camera, relight=knobs)
+        setup = Setup(
+            path=path,
+            lights=light_tracks(lights),
+            mattes=tuple(movings),
+            materials=tuple(surfaces),
+            environment=around,
+            camera=camera,
+            relight=knobs,
+        )
+        setup.materials_at(None)
         if given is not None:
             checked_mattes(setup.mattes_at(None), given)
     except StereoRelightError as error:
@@ -148,6 +183,9 @@ def checked_setup(
         known = [*given, *(str(moving.table["name"]) for moving in movings)]
         for index, track in enumerate(setup.lights):
             _told(where, "lights", index, track.moving.table, lambda track=track: _matte_known(track, known))  # type: ignore[misc]
+        for index, moving in enumerate(surfaces):
+            held = [str(moving.at(frame)["matte"]) for frame in moving.key_frames()]
+            _told(where, "materials", index, moving.table, lambda held=held, moving=moving: known_mattes(held, known, moving.label))  # type: ignore[misc]
         if around is not None:
             names = [found.matte for frame in around.key_frames() if (found := setup.environment_at(frame))]
             _told(where, "environment", None, around.table, lambda: known_mattes(names, known, "environment"))
@@ -161,6 +199,15 @@ def _matte_over(table: Mapping[str, Any], index: int) -> Moving:
         raise ShotError(f"{label}: {next(iter(moving.stuck))} cannot go with a pixel; only places of lights can")
     for frame in moving.key_frames():
         matte_from_dict(moving.at(frame), label)
+    return moving
+
+
+def _material_over(table: Mapping[str, Any], index: int) -> Moving:
+    moving = moving_table(table, f"material {table['name']!r}" if "name" in table else f"material number {index + 1}")
+    if moving.stuck:
+        raise ShotError(f"{moving.label}: {next(iter(moving.stuck))} cannot go with a pixel; only places of lights can")
+    for frame in moving.key_frames():
+        materials_from_dicts([moving.at(frame)])
     return moving
 
 
