@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -177,7 +178,7 @@ def test_kelvin() -> None:
     )
     np.testing.assert_allclose(kelvin_color(2856), rgb, atol=0.01)
     warm = [kelvin_color(k) for k in np.linspace(1700, 25000, 200)]
-    assert all(a[0] >= b[0] - 1e-9 and a[2] <= b[2] + 1e-9 for a, b in zip(warm, warm[1:]))
+    assert all(a[0] >= b[0] - 1e-9 and a[2] <= b[2] + 1e-9 for a, b in itertools.pairwise(warm))
     light = PointLight(name="a", position_m=(0, 0, 0), kelvin=3200)
     assert lights_from_dicts([to_dict(light)]) == (light,)
     got = light_layers(np.full((1, 1, 3), (0, 0, -1.0)), np.full((1, 1, 3), (0, 0, 1.0)), np.ones((1, 1, 3)), [light])["light_a_diffuse"]
