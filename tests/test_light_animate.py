@@ -71,40 +71,41 @@ def test_vectors_and_colours() -> None:
     assert lamp.at(2) == PointLight(name="lamp", position_m=(1, 1, -1.5), color=(1, 0.5, 0.5))
 
 
-def examples() -> list[tuple[str, str, object]]:
-    """(type, key, a value that it takes) for every key of every light, from the classes themselves."""
+def examples() -> list[tuple[str, str, dict[str, object]]]:
+    """(type, key, a table that says it) for every key of every light, from the classes themselves."""
     base: dict[str, dict[str, object]] = {
         "point": {"position_m": [0.0, 1.0, -1.0]},
         "spot": {"position_m": [0.0, 1.0, -1.0], "aim_m": [0.0, 0.0, -2.0]},
         "directional": {"azimuth_deg": 30.0},
+        "sphere": {"position_m": [0.0, 1.0, -1.0], "radius_m": 0.1},
+        "rect": {"position_m": [0.0, 1.0, -1.0], "size_m": [0.2, 0.3], "aim_m": [0.0, 0.0, -2.0]},
     }
+    assert set(base) == set(LIGHTS)
     found = []
     for kind, table in base.items():
         light = lights_from_dicts([{"name": "x", "type": kind, **table}])[0]
         for f in fields(light):
             value = getattr(light, f.name)
             if f.name != "name" and value is not None:
-                found.append((kind, f.name, list(value) if isinstance(value, tuple) else value))
+                found.append((kind, f.name, {"type": kind, "name": "x", **table, f.name: list(value) if isinstance(value, tuple) else value}))
     return found
 
 
-@pytest.mark.parametrize(("kind", "key", "value"), examples())
-def test_every_value_takes_keys(kind: str, key: str, value: object) -> None:
-    base = {"point": {"position_m": [0, 1, -1]}, "spot": {"position_m": [0, 1, -1], "aim_m": [0, 0, -2]}, "directional": {"azimuth_deg": 30}}[kind]
-    plain = {"name": "x", "type": kind, **base, key: value}
-    keyed = plain | {key: {"keys": [[1, value], [9, value]], "ease": "step"}}
+@pytest.mark.parametrize(("kind", "key", "table"), examples())
+def test_every_value_takes_keys(kind: str, key: str, table: dict[str, object]) -> None:
+    keyed = table | {key: {"keys": [[1, table[key]], [9, table[key]]], "ease": "step"}}
     light = light_tracks([keyed])[0].at(5)
-    assert light == lights_from_dicts([plain])[0]
+    assert light == lights_from_dicts([table])[0]
     assert type(light) is LIGHTS[kind]
 
 
 def test_a_light_that_is_switched_keeps_its_layers() -> None:
     lamp = track(LAMP + 'specular = { keys = [[1, 0.0], [9, 0.5]] }\nenabled = { keys = [[1, false], [5, true]], ease = "step" }')
-    assert lamp.layer_names() == ["light_lamp_diffuse", "light_lamp_specular"]
+    assert lamp.enabled
     assert lamp.dark(1)
     assert not lamp.dark(5)
     assert lamp.at(1).enabled
-    assert track(LAMP + 'enabled = { keys = [[1, false]], ease = "step" }').layer_names() == []
+    assert not track(LAMP + 'enabled = { keys = [[1, false]], ease = "step" }').at(1).enabled
 
 
 def test_a_stuck_place_is_asked_for() -> None:

@@ -220,15 +220,6 @@ class LightTrack:
         curve = self.moving.curves.get("enabled")
         return any(curve.values) if curve else self.first.enabled
 
-    @property
-    def shines(self) -> bool:
-        """Whether it has a specular layer: on every frame, where any of them has a highlight."""
-        return any(self.at(frame).shines for frame in self.moving.key_frames())
-
-    def layer_names(self) -> list[str]:
-        """The layers that it has on every frame."""
-        return [f"light_{self.name}_{part}" for part in (("diffuse", "specular") if self.shines else ("diffuse",))] if self.enabled else []
-
     def at(self, frame: float | None, place: Place | None = None) -> Light:
         """The light on `frame`.  Raises ShotError naming light, key and frame."""
         plain = self.moving.at(frame, place)
