@@ -7,15 +7,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from stereorelight.arrays import Float32
 from stereorelight.camera import Camera, Eye
 from stereorelight.errors import PassError, PlateError
 from stereorelight.footage.frames import read_frame
 from stereorelight.passes import Frame
 from stereorelight.surface.normals import Method, normals_and_sigma
 from stereorelight.surface.position import position_from_depth
+from stereorelight.surface.shading import Quality, refine_by_shading
 
 FARTHEST_M = 1e5  # renderers write some huge number where there is nothing; no plate sees 100 km
 
@@ -61,6 +64,29 @@ def read_depth(
     return replace(found, passes={**found.passes, "Z": Z.astype(np.float32)}, camera=seen_by, eye=eye or found.eye)
 
 
+def shaded(surface: Frame, depth: Frame, plate: Float32, *, strength: float = 1.0, quality: Quality = "standard") -> tuple[Frame, dict[str, Any]]:
+    """`surface` of a `depth` with its Z_sigma, after the plate's own shading has had its say; and what it did, for a receipt.
+
+    Raises : PassError where the depth does not say how far it may be off.
+    """
+    camera = surface.camera
+    if camera is None or "Z_sigma" not in depth:
+        raise PassError("shading weighs a depth by its own standard deviation: it needs the passes Z_sigma and N_sigma, as `depth` writes them")
+    found = refine_by_shading(
+        plate,
+        surface["Z"],
+        camera,
+        Z_sigma=depth["Z_sigma"],
+        N=surface["N"],
+        N_sigma=surface.passes.get("N_sigma"),
+        confidence=depth.passes.get("confidence"),
+        strength=strength,
+        quality=quality,
+    )
+    passes = {"Z": found.Z, "P": position_from_depth(found.Z, camera), "N": found.N, "N_sigma": found.N_sigma}
+    return replace(surface, passes={**surface.passes, **passes}), found.figures
+
+
 def surface_of(depth: Frame, *, method: Method = "plane", noise_per_m: float = 0.0) -> Frame:
     """Z, P and N of a frame that holds Z, with the standard deviation of N, degrees.  Raises PassError where it has no camera.
 
@@ -70,6 +96,6 @@ def surface_of(depth: Frame, *, method: Method = "plane", noise_per_m: float = 0
     if camera is None:
         raise PassError("Z needs the camera that saw it before it can be a position")
     Z, confidence = depth["Z"], depth.passes.get("confidence")
-    N, sigma = normals_and_sigma(Z, camera, method=method, confidence=confidence, noise_per_m=noise_per_m)
+    N, sigma = normals_and_sigma(Z, camera, method=method, confidence=confidence, noise_per_m=noise_per_m, Z_sigma=depth.passes.get("Z_sigma"))
     passes = {"Z": Z, "P": position_from_depth(Z, camera), "N": N}
     return replace(depth, passes=passes if sigma is None else {**passes, "N_sigma": sigma})

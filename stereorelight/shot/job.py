@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from stereorelight import __version__
 from stereorelight.arrays import Float32
@@ -15,7 +15,7 @@ from stereorelight.camera import Camera
 from stereorelight.errors import PassError
 from stereorelight.footage.frames import read_frame, write_frame
 from stereorelight.passes import Frame
-from stereorelight.shot.depths import surface_of
+from stereorelight.shot.depths import shaded, surface_of
 from stereorelight.shot.lighting import Lighting, Lit
 from stereorelight.shot.neighbours import Neighbours, search_figures
 from stereorelight.shot.pairs import Pair, flip_word, read_upright, recover_pair
@@ -41,6 +41,7 @@ class FrameJob:
     pair: Pair
     preview_range_m: tuple[float, float] = (1.0, 10.0)
     search_figures: dict[str, Any] = field(default_factory=dict)
+    shading_figures: dict[str, Any] = field(default_factory=dict)
     repairs: Repairs | None = None
     near: Neighbours | None = None
     lighting: Lighting | None = None
@@ -139,6 +140,10 @@ class FrameJob:
         """Z, P and N, made now."""
         noise = MATCH_NOISE_PX / (self.rectification.rig.left.fx * self.rectification.rig.baseline_m)
         frame = surface_of(self.depth, method=self.shot.tables.surface.method, noise_per_m=noise)
+        told = self.shot.tables.surface
+        if told.shading == "on" and told.method == "plane":
+            quality: Literal["standard", "fine"] = "fine" if self.shot.depth.quality == "fine" else "standard"
+            frame, self.shading_figures = shaded(frame, self.depth, self.plate, strength=told.shading_strength, quality=quality)
         frame = replace(frame, number=self.pair.number, metadata=self.words("passes"))
         self.__dict__["surface"] = frame
         return frame

@@ -35,6 +35,11 @@ def view_key(shot: Shot) -> list[str | None]:
     return [shot.colour.display, shot.colour.view]
 
 
+def shading_key(shot: Shot) -> list[Any] | None:
+    """What shading reads beyond the depth; None where it is off."""
+    return [colour_key(shot), shot.depth.quality] if shot.tables.surface.shading == "on" else None
+
+
 def matcher_key(shot: Shot) -> str | None:
     """What a matcher's own file holds, where it has one."""
     file = matcher_file(shot.depth.matcher)
@@ -117,7 +122,8 @@ def _make_depth(job: FrameJob) -> Made:
 
 def _make_passes(job: FrameJob) -> Made:
     frame = job.made_surface()
-    return Made(surface_figures(frame), lambda: job.write(job.passes_path, frame))
+    figures = surface_figures(frame) | ({"shading": job.shading_figures} if job.shading_figures else {})
+    return Made(figures, lambda: job.write(job.passes_path, frame))
 
 
 def _make_relit(job: FrameJob) -> Made:
@@ -148,7 +154,10 @@ STEPS: tuple[Step, ...] = (
         name="passes",
         after=("depth",),
         rooms=("surface", "footage", "engine", "shot/job.py"),
-        settings=lambda shot: shot.tables.surface.model_dump(),
+        settings=lambda shot: [
+            shot.tables.surface.model_dump(),
+            [colour_key(shot), shot.depth.quality] if shot.tables.surface.shading == "on" else None,
+        ],
         files=lambda job: [job.passes_path],
         make=_make_passes,
     ),

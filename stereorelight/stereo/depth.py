@@ -38,9 +38,13 @@ APART_PX = 1.0  # disparities farther apart belong to two surfaces when Z is car
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recovered:
-    """What was found: `frame` (Z, confidence, flags, disparity_sigma, Z_sigma on the original plate of the eye), `rectified`
-    (disparity, disparity_sigma, confidence, flags on that eye's rectified view), the range searched, the median row error that the flow saw, px, and how the right
-    eye's colours were matched, where they were."""
+    """What was found.
+
+    frame      : Z, confidence, flags, disparity_sigma, Z_sigma on the original plate of the eye.
+    rectified  : disparity, disparity_sigma, confidence, flags on that eye's rectified view.
+    search     : the range searched.   vertical_px: the median row error that the flow saw.
+    colour     : how the right eye's colours were matched, where they were.
+    """
 
     frame: Frame
     rectified: Frame
@@ -98,9 +102,10 @@ def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> R
         dense = np.where(useful, flow.disparity, dense)
     refined = refine(proxy, dense, confirmed, effort=EFFORTS[settings.quality])
     evidence = belief.evidence(proxy, found, refined, confirmed, None if flow is None else flow.disparity)
+    confidence = belief.confidence_from_evidence(evidence)
     return RectifiedDepth(
-        refined=refined,
-        confidence=belief.confidence_from_evidence(evidence),
+        refined=replace(refined, sigma_px=belief.sigma_from_evidence(evidence, confidence)),
+        confidence=confidence,
         flags=belief.reasons(refined, confirmed, proxy.left_known, proxy.right_known),
         vertical_px=float("nan") if flow is None else flow.vertical_px,
     )

@@ -24,6 +24,7 @@ RADII_PX = (1, 2, 4, 8, 16, 32)
 # Measured over expected error, on synthetic shots: fits finer than this are somewhat better than they look, coarse ones as they look.
 SIGMA_FINE_DEG, SIGMA_COARSE_DEG = 8.0, 16.0
 SIGMA_FINE_GAIN, SIGMA_COARSE_GAIN = 0.82, 1.05
+FITTED_GAIN, FITTED_TILT = 1.27, 0.0057  # of depth that matching has smoothed: of its own disagreement, and of Z_sigma over a pixel's width
 
 
 def _facing(normals: Float64, towards: Float64) -> Float32:
@@ -76,12 +77,15 @@ def normals_and_sigma(
     radii_px: tuple[int, ...] = RADII_PX,
     confidence: npt.ArrayLike | None = None,
     noise_per_m: float = 0.0,
+    Z_sigma: npt.ArrayLike | None = None,
 ) -> tuple[Float32, Float32 | None]:
     """`normals_from_depth`, and how far N is expected to be off: (H, W) float32 degrees, NaN where N is; None for "difference".
 
     It is the angle that 68 % of normals like it stay within, read from the depth itself: windows of one scale disagree with those
     of the next by their noise and by the shape that they cannot follow.  What all windows share, such as a depth that is wrong
     as a whole or a wrong surface behind an edge, it cannot know; that is what the confidence of Z is for.
+    Z_sigma : (H, W) metres, the standard deviation of a Z that was smoothed or fitted, as recovered depth is: its windows agree
+              better than they are right, and the angle is told wider by what that was measured to be.
     """
     if method == "difference":
         return _by_difference(Z, camera), None
@@ -89,7 +93,11 @@ def normals_and_sigma(
         raise PassError(f"normals method {method!r} is unknown{nearest_hint(method, ('plane', 'difference'))}")
     depth = checked_depth(Z, camera)
     N, error = _by_planes(1 / depth.astype(np.float64), ray_slopes(camera), confidence, radii_px, noise_per_m)
-    return N, _as_sigma(error)
+    if Z_sigma is None:
+        return N, _as_sigma(error)
+    tilt = camera.fx * as_float32(Z_sigma, "Z_sigma", size_hw=camera.size_hw) / depth
+    told = np.hypot(FITTED_GAIN * error, FITTED_TILT * np.nan_to_num(tilt, nan=0.0))
+    return N, np.minimum(np.degrees(told), 90).astype(np.float32)
 
 
 def _as_sigma(error: Float32) -> Float32:
