@@ -158,9 +158,16 @@ def test_another_working_space_changes_the_header_and_not_the_look(ran: Path, fi
     np.testing.assert_allclose(wide.attributes["chromaticities"][:6], (0.713, 0.293, 0.165, 0.83, 0.128, 0.044), atol=1e-4)
     assert np.abs(wide.channels["R"] - read_exr(ran / "out" / name)[0].channels["R"]).max() > 0.01
     plain, back = (read_frame(folder / "out" / name)["beauty"] for folder in (ran, tmp_path))
-    apart = np.abs(back - plain) / (plain.mean() + plain)
-    assert np.percentile(apart, 50) < 0.002  # halves, twice
-    assert np.percentile(apart, 99) < 0.03  # the matcher sees another grey
+    apart = (np.abs(back - plain) / (plain.mean() + plain)).max(axis=-1)
+    # The matcher sees another grey, which moves a normal here and there; where surfaces are the same, so is the picture.
+    one, other = (read_frame(next((folder / "out" / "passes").glob(f"*{FIRST}.exr"))) for folder in (ran, tmp_path))
+    turned = np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(one["N"] - other["N"], axis=-1) / 2, 0, 1)))
+    same = (np.abs(one["Z"] / other["Z"] - 1) < 0.002) & (turned < 0.25)
+    assert same.sum() > 2000
+    assert np.percentile(apart[same], 50) < 0.001  # halves, twice
+    assert np.percentile(apart[same], 99) < 0.01
+    assert np.median(turned) < 2
+    assert np.percentile(apart, 50) < 0.01
 
 
 # Mending

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -305,7 +307,7 @@ def test_sigma_is_the_error_of_the_normals(noise: float) -> None:
     assert np.isfinite(sigma[np.isfinite(N[..., 0])]).all()
     angle = angle_deg(N, true)
     edges = np.quantile(sigma, np.linspace(0, 1, 6))
-    bins = [(sigma >= low) & (sigma <= high) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    bins = [(sigma >= low) & (sigma <= high) for low, high in pairwise(edges)]
     ratios = [float(np.quantile(angle[one], 0.683) / sigma[one].mean()) for one in bins]
     assert min(ratios) > 0.6, ratios
     assert max(ratios) < 1.3, ratios

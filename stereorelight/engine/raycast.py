@@ -3,7 +3,7 @@
 In: rays (n, 3) in world coordinates and a scene as four tables of numbers (columns below).  Out: the ray parameter `t`
 of the first hit (point = origin + t direction), the object hit, and the surface there.
 Frames: world is right-handed, y up, metres; an object has its own frame, `p_object = R (p_world - origin)`.
-Planes, spheres and boxes are intersected in closed form.  Solids are the zero set of a field made of smooth unions and
+Planes, spheres, boxes and rods are intersected in closed form.  Solids are the zero set of a field made of smooth unions and
 cuts: sphere tracing brackets the first sign change and the Illinois rule closes it to 1e-12 m, so the hit does not
 depend on the step length.  Every ray stands alone: the result is the same bits whatever the number of threads."""
 
@@ -17,72 +17,20 @@ from numba import njit, prange
 
 from stereorelight.arrays import Bool, Float64
 from stereorelight.engine.locks import KERNEL_LOCK
+from stereorelight.engine.texture import albedo_at, octaves
 
 # Object row: kind, material, first primitive, primitive count, R (9), origin (3), parameters (4), wrinkles (amplitude, frequency xyz).
-PLANE, SPHERE, BOX, SOLID = 0, 1, 2, 3
+PLANE, SPHERE, BOX, SOLID, ROD = 0, 1, 2, 3, 4
 OBJECT_COLUMNS = 24
 # Primitive row: shape, operation, blend width, centre (3), R (9), parameters (4), reach, stretch (two bounds used to skip it).
 ELLIPSOID, ROUND_CONE, TORUS = 0, 1, 2
 UNION, CUT = 0, 1
 PRIMITIVE_COLUMNS = 21
-# Material row: pattern, colour (3), second colour (3), contrast, frequency, octaves, gain, specular, exponent, stretch (3).
-MATTE, SKIN, HAIR, CLOTH, WOOD, EYE, PAPER = 0, 1, 2, 3, 4, 5, 6
-MATERIAL_COLUMNS = 16
 
 CAUTION = 0.85  # share of the field's value that one step may take; blended ellipsoids overstate distance a little
 SMALLEST_STEP_M = 2e-5
 GRADIENT_STEP_M = 2e-5  # central differences: error of order step^2, below 1e-6 of a degree on these shapes
 MOST_STEPS = 3000
-
-
-@njit(cache=True, nogil=True)
-def _lattice(x, y, z, seed):
-    """Hash of a lattice point to 64 bits (the finaliser of SplitMix64)."""
-    h = np.uint64(x * 73856093) ^ np.uint64(y * 19349663) ^ np.uint64(z * 83492791) ^ np.uint64(seed * 2654435761)
-    h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return h ^ (h >> np.uint64(31))
-
-
-@njit(cache=True, nogil=True)
-def _slope(h, x, y, z):
-    """Dot product of (x, y, z) with one of Perlin's twelve directions."""
-    k = int(h & np.uint64(15))
-    u = x if k < 8 else y
-    v = y if k < 4 else (x if k == 12 or k == 14 else z)
-    return (-u if k & 1 else u) + (-v if k & 2 else v)
-
-
-@njit(cache=True, nogil=True)
-def noise(x, y, z, seed):
-    """Gradient noise (Perlin 2002), about -1..1, twice differentiable."""
-    fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
-    i, j, k = int(fx), int(fy), int(fz)
-    x, y, z = x - fx, y - fy, z - fz
-    u = x * x * x * (x * (x * 6 - 15) + 10)
-    v = y * y * y * (y * (y * 6 - 15) + 10)
-    w = z * z * z * (z * (z * 6 - 15) + 10)
-    a = _slope(_lattice(i, j, k, seed), x, y, z)
-    b = _slope(_lattice(i + 1, j, k, seed), x - 1, y, z)
-    c = _slope(_lattice(i, j + 1, k, seed), x, y - 1, z)
-    d = _slope(_lattice(i + 1, j + 1, k, seed), x - 1, y - 1, z)
-    low = a + u * (b - a) + v * ((c + u * (d - c)) - (a + u * (b - a)))
-    a = _slope(_lattice(i, j, k + 1, seed), x, y, z - 1)
-    b = _slope(_lattice(i + 1, j, k + 1, seed), x - 1, y, z - 1)
-    c = _slope(_lattice(i, j + 1, k + 1, seed), x, y - 1, z - 1)
-    d = _slope(_lattice(i + 1, j + 1, k + 1, seed), x - 1, y - 1, z - 1)
-    high = a + u * (b - a) + v * ((c + u * (d - c)) - (a + u * (b - a)))
-    return low + w * (high - low)
-
-
-@njit(cache=True, nogil=True)
-def octaves(x, y, z, count, gain, seed):
-    """Sum of `count` octaves of noise; each next one twice as fine and `gain` times as strong."""
-    total, strength = 0.0, 1.0
-    for n in range(count):
-        total += strength * noise(x, y, z, seed + n)
-        x, y, z, strength = 2.03 * x + 17.1, 2.03 * y + 5.3, 2.03 * z + 11.7, strength * gain
-    return total
 
 
 @njit(cache=True, nogil=True)
@@ -197,6 +145,38 @@ def _trace_solid(objects, n, primitives, ox, oy, oz, dx, dy, dz, limit):
 
 
 @njit(cache=True, nogil=True)
+def _ball(ox, oy, oz, dx, dy, dz, radius, limit):
+    """t of the first hit on a ball about the origin of its frame, or `limit`."""
+    a = dx * dx + dy * dy + dz * dz
+    b = ox * dx + oy * dy + oz * dz
+    # |offset from the closest point|^2 by a cross product: keeps its digits far from the sphere.
+    ex, ey, ez = oy * dz - oz * dy, oz * dx - ox * dz, ox * dy - oy * dx
+    q = radius * radius * a - (ex * ex + ey * ey + ez * ez)
+    if q > 0.0:
+        s = (-b - math.sqrt(q)) / a
+        if 0.0 < s < limit:
+            return s
+    return limit
+
+
+@njit(cache=True, nogil=True)
+def _rod(ox, oy, oz, dx, dy, dz, radius, half, limit):
+    """t of the first hit on a round-ended rod along y, or `limit`."""
+    a = dx * dx + dz * dz
+    e = oz * dx - ox * dz
+    q = radius * radius * a - e * e
+    if q <= 0.0:
+        if a > 0.0 or ox * ox + oz * oz >= radius * radius:
+            return limit  # never inside the endless cylinder, which holds the ends too
+        return _ball(ox, oy + math.copysign(half, dy), oz, dx, dy, dz, radius, limit)
+    s = (-(ox * dx + oz * dz) - math.sqrt(q)) / a
+    y = oy + s * dy
+    if abs(y) <= half:
+        return s if 0.0 < s < limit else limit
+    return _ball(ox, oy - math.copysign(half, y), oz, dx, dy, dz, radius, limit)
+
+
+@njit(cache=True, nogil=True)
 def _hit(objects, n, primitives, origin, direction, limit):
     """t of the first hit of one ray on object `n` before `limit`, or `limit`."""
     o = objects[n]
@@ -217,15 +197,9 @@ def _hit(objects, n, primitives, origin, direction, limit):
             if s < limit and abs(ox + s * dx) <= o[16] and abs(oy + s * dy) <= o[17]:
                 t = s
     elif kind == SPHERE:
-        a = dx * dx + dy * dy + dz * dz
-        b = ox * dx + oy * dy + oz * dz
-        # |offset from the closest point|^2 by a cross product: keeps its digits far from the sphere.
-        ex, ey, ez = oy * dz - oz * dy, oz * dx - ox * dz, ox * dy - oy * dx
-        q = o[16] * o[16] * a - (ex * ex + ey * ey + ez * ez)
-        if q > 0.0:
-            s = (-b - math.sqrt(q)) / a
-            if 0.0 < s < limit:
-                t = s
+        t = _ball(ox, oy, oz, dx, dy, dz, o[16], limit)
+    elif kind == ROD:
+        t = _rod(ox, oy, oz, dx, dy, dz, o[16], o[17], limit)
     else:
         near, far = -1e30, 1e30
         for axis in range(3):
@@ -266,53 +240,6 @@ def _first_hits(objects, primitives, origins, directions, limits, any_hit):
     return t, hit
 
 
-@njit(cache=True, nogil=True)
-def _step(a, b, x):
-    s = min(max((x - a) / (b - a), 0.0), 1.0)
-    return s * s * (3.0 - 2.0 * s)
-
-
-@njit(cache=True, nogil=True)
-def _albedo(m, x, y, z, out):
-    """Colour of material row `m` at a point of the object's frame."""
-    pattern = int(m[0])
-    f = m[8]
-    grain = octaves(x * f * m[13], y * f * m[14], z * f * m[15], int(m[9]), m[10], 1)
-    mix = 0.0
-    gain = 1.0 + m[7] * grain
-    if pattern == SKIN:  # second colour: lips and a flush on cheeks, nose and ears; brows darken
-        side = abs(x)
-        lips_y = -0.0685 + 0.0035 * math.cos(side * 150.0) * _step(0.016, 0.0, side)
-        lips = _step(1.12, 0.88, math.sqrt((x / 0.0255) ** 2 + ((y - lips_y) / (0.0102 * math.sqrt(max(1.0 - (side / 0.030) ** 2, 0.05)))) ** 2))
-        flush = _step(0.030, 0.0, math.sqrt((side - 0.045) ** 2 + (y + 0.030) ** 2)) + _step(0.020, 0.0, math.sqrt(x * x + (y + 0.036) ** 2))
-        front = _step(0.03, 0.05, z)
-        mix = front * min(0.85 * lips + 0.28 * flush, 1.0)
-        along = (side - 0.012) / 0.040
-        arch = 0.0205 + 0.0075 * math.sin(min(max(along, 0.0), 1.0) * 2.3) - 0.002 * along
-        width = 0.0048 * (1.0 - 0.55 * min(max(along, 0.0), 1.0))
-        brow = front * _step(1.5, 0.5, abs(y - arch) / width) * _step(-0.10, 0.10, along) * _step(1.12, 0.90, along)
-        gain *= 1.0 - brow * (0.72 + 0.20 * noise(x * 700.0, y * 260.0, z * 260.0, 40))
-    elif pattern == CLOTH:  # two threads, and broad stripes of the second colour
-        weave = math.sin(x * 900.0) * math.sin(y * 900.0)
-        mix = _step(0.55, 0.75, math.sin(y * 95.0 + 1.5 * noise(x * 6.0, y * 6.0, z * 6.0, 60)))
-        gain *= 1.0 + 0.25 * m[7] * weave
-    elif pattern == WOOD:
-        rings = math.sin(60.0 * (y + 0.25 * noise(x * 1.5, y * 6.0, z * 6.0, 70)) + 4.0 * noise(x * 3.0, y * 9.0, z * 9.0, 71))
-        mix = 0.5 + 0.5 * rings
-    elif pattern == PAPER:  # wall: a faint repeated motif over plaster
-        u, v = x * 5.0, y * 5.0
-        motif = math.sin(math.pi * (u + v)) * math.sin(math.pi * (u - v))
-        mix = _step(0.25, 0.55, motif)
-    elif pattern == EYE:  # iris and pupil about the object's +z
-        angle = math.atan2(math.sqrt(x * x + y * y), z)
-        ray = noise(math.atan2(y, x) * 8.0, angle * 6.0, 0.0, 80)
-        mix = _step(0.47, 0.43, angle) * (1.0 + 0.25 * ray) - (0.55 * _step(0.38, 0.45, angle) * _step(0.50, 0.44, angle))
-        gain *= 1.0 - 0.97 * _step(0.20, 0.17, angle)
-        mix = min(max(mix, 0.0), 1.0)
-    for c in range(3):
-        out[c] = min(max((m[1 + c] + mix * (m[4 + c] - m[1 + c])) * gain, 0.0), 1.0)
-
-
 @njit(cache=True, nogil=True, parallel=True)
 def _surface_at(objects, primitives, materials, points, hit):
     count = points.shape[0]
@@ -340,6 +267,8 @@ def _surface_at(objects, primitives, materials, points, hit):
                 gx = math.copysign(1.0, x) if ax <= ay and ax <= az else 0.0
                 gy = math.copysign(1.0, y) if gx == 0.0 and ay <= az else 0.0
                 gz = math.copysign(1.0, z) if gx == 0.0 and gy == 0.0 else 0.0
+            elif kind == ROD:
+                gy = y - min(max(y, -o[17]), o[17])
             elif kind == SOLID:
                 gx = field(objects, n, primitives, x + h, y, z) - field(objects, n, primitives, x - h, y, z)
                 gy = field(objects, n, primitives, x, y + h, z) - field(objects, n, primitives, x, y - h, z)
@@ -350,7 +279,7 @@ def _surface_at(objects, primitives, materials, points, hit):
             normals[i, 1] = o[5] * gx + o[8] * gy + o[11] * gz
             normals[i, 2] = o[6] * gx + o[9] * gy + o[12] * gz
             m = materials[int(o[1])]
-            _albedo(m, x, y, z, albedo[i])
+            albedo_at(m, x, y, z, albedo[i])
             specular[i, 0], specular[i, 1] = m[11], m[12]
     return normals, albedo, specular
 

@@ -19,8 +19,8 @@ from stereorelight.errors import ShotError, nearest_hint
 from stereorelight.synth.lights import Light
 
 Vector = tuple[float, float, float]
-PATTERNS = ("matte", "skin", "hair", "cloth", "wood", "eye", "paper")  # in the order of engine/raycast.py
-KINDS = ("plane", "sphere", "box", "solid")
+PATTERNS = ("matte", "skin", "hair", "cloth", "wood", "eye", "paper", "tiles")  # in the order of engine/texture.py
+KINDS = ("plane", "sphere", "box", "solid", "rod")  # in the order of engine/raycast.py
 
 
 def rotation(*, x_deg: float = 0.0, y_deg: float = 0.0, z_deg: float = 0.0) -> Float64:
@@ -38,7 +38,7 @@ class Material:
     """Albedo 0..1 by pattern and grain, and a Phong lobe.
 
     contrast  : share by which the grain moves the colour, per unit of noise (rms about 0.35 of it).
-    frequency : cycles per metre of the coarsest grain; each octave doubles it.
+    frequency : cycles per metre of the coarsest grain; each octave doubles it.  Pattern "tiles": also tiles per metre.
     stretch   : factors on the frequency along the object's x, y, z.
     """
 
@@ -86,15 +86,19 @@ def ball(centre: Vector, radius: float, *, blend_m: float = 0.0, cut: bool = Fal
     return ellipsoid(centre, (radius, radius, radius), blend_m=blend_m, cut=cut)
 
 
+def _frame_along(start: Vector, end: Vector) -> Float64:
+    """(3, 3): rows are three right-angled unit vectors, the middle one from `start` to `end`."""
+    y = np.subtract(end, start) / math.dist(start, end)
+    x = np.cross(y, (0.0, 0.0, 1.0) if abs(y[2]) < 0.9 else (1.0, 0.0, 0.0))
+    x = x / np.linalg.norm(x)
+    return np.stack([x, y, np.cross(x, y)])
+
+
 def limb(start: Vector, end: Vector, radius: float, end_radius: float | None = None, *, blend_m: float = 0.0, cut: bool = False) -> Primitive:
     """Two balls and the cone that touches both."""
     last = radius if end_radius is None else end_radius
-    along = np.subtract(end, start)
-    length = float(np.linalg.norm(along))
-    y = along / length
-    x = np.cross(y, (0.0, 0.0, 1.0) if abs(y[2]) < 0.9 else (1.0, 0.0, 0.0))
-    x = x / np.linalg.norm(x)
-    return _primitive(1, start, np.stack([x, y, np.cross(x, y)]), (radius, last, length), max(radius, length + last), 1.0, blend_m, cut)
+    length = math.dist(start, end)
+    return _primitive(1, start, _frame_along(start, end), (radius, last, length), max(radius, length + last), 1.0, blend_m, cut)
 
 
 def ring(centre: Vector, radius: float, thickness: float, *, blend_m: float = 0.0, x_deg: float = 0.0, z_deg: float = 0.0) -> Primitive:
@@ -107,12 +111,13 @@ class Object:
     """One thing with one material.
 
     size : plane: half width and half height in its own x, y (it faces its +z and is seen from there only);
-           sphere: radius; box: three half sizes; solid: radius of a ball about `bound_m` that holds it all.
+           sphere: radius; box: three half sizes; rod: radius and half length along its own y, round ends beyond it;
+           solid: radius of a ball about `bound_m` that holds it all.
     wrinkles_m, wrinkles_per_m : amplitude and frequencies (x, y, z) of folds pressed into a solid.
     """
 
     name: str
-    kind: Literal["plane", "sphere", "box", "solid"]
+    kind: Literal["plane", "sphere", "box", "solid", "rod"]
     material: Material
     origin_m: Vector = (0.0, 0.0, 0.0)
     R_world_object: Float64 = field(default_factory=lambda: np.eye(3))
@@ -130,6 +135,19 @@ class Object:
             size = [*self.size, math.inf, math.inf, 0.0, 0.0][:4]
         head = [float(kind), float(material), float(first), float(len(self.primitives))]
         return [*head, *self.R_world_object.T.ravel().tolist(), *self.origin_m, *size, self.wrinkles_m, *self.wrinkles_per_m]
+
+
+def rod(name: str, material: Material, start: Vector, end: Vector, radius_m: float) -> Object:
+    """A straight wire with round ends, from `start` to `end`."""
+    middle = np.add(start, end) / 2
+    return Object(
+        name=name,
+        kind="rod",
+        material=material,
+        origin_m=(float(middle[0]), float(middle[1]), float(middle[2])),
+        R_world_object=_frame_along(start, end).T,
+        size=(radius_m, math.dist(start, end) / 2),
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""The scenes by name: the bust, and small ones whose answers can be worked out by hand.
+"""The scenes by name: the bust, hard cases, and small ones whose answers can be worked out by hand.
 
 World: x right, y up, the camera at the origin looks down -z; metres.  `texture` scales the grain of every surface."""
 
@@ -9,7 +9,8 @@ from types import MappingProxyType
 from typing import Protocol
 
 from stereorelight.errors import ShotError, nearest_hint
-from stereorelight.synth.bust import bust
+from stereorelight.synth.bust import bust, weak
+from stereorelight.synth.hard_cases import repeat, table, thin
 from stereorelight.synth.lights import Light
 from stereorelight.synth.scene import Material, Object, Scene, rotation
 
@@ -76,7 +77,18 @@ def box(*, texture: float = 1.0, frame: float = 0, motion: bool = False) -> Scen
 
 
 _SCENES: Mapping[str, Builder] = MappingProxyType(
-    {"bust": bust, "plane": plane, "slanted": slanted, "sphere": sphere, "two_planes": two_planes, "box": box}
+    {
+        "bust": bust,
+        "weak": weak,
+        "thin": thin,
+        "table": table,
+        "repeat": repeat,
+        "plane": plane,
+        "slanted": slanted,
+        "sphere": sphere,
+        "two_planes": two_planes,
+        "box": box,
+    }
 )
 
 
