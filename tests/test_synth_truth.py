@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stereorelight.camera import Camera, Eye, Rig
-from stereorelight.engine import raycast
+from stereorelight.engine import raycast, texture
 from stereorelight.passes import Flag
 from stereorelight.synth.render import FLIP, Shot, render
 from stereorelight.synth.rigs import RIGS, is_rectified, parallel_rig, rectified_rig, rig_named
@@ -245,3 +247,8 @@ def test_rigs_stand_as_they_say() -> None:
     for name in ("offset", "hard"):
         assert rig_named(name, SIZE).right_centre_m[1] == pytest.approx(-0.003)  # camera frame: y down, so higher
     assert rig_named("hard", SIZE).mirrored == "right"
+
+
+def test_the_cached_caster_is_that_of_todays_patterns() -> None:
+    found = hashlib.sha256(Path(texture.__file__).read_text(encoding="utf-8").encode()).hexdigest()[:16]
+    assert found == raycast.TEXTURE, f'texture.py has changed: set TEXTURE = "{found}" in engine/raycast.py'

@@ -53,7 +53,7 @@ def command(
 ) -> None:
     """Plates, rig.json, shot.toml and truth of a SCENE.
 
-    Scenes: bust, weak, thin, table, repeat, plane, slanted, sphere, two_planes, box.
+    Scenes: bust, weak, statue, interior, thin, table, repeat, plane, slanted, sphere, two_planes, box.
     """
     from stereorelight.cli.progress import Bar
     from stereorelight.shot.synthetic import write_shot

@@ -31,6 +31,9 @@ CAUTION = 0.85  # share of the field's value that one step may take; blended ell
 SMALLEST_STEP_M = 2e-5
 GRADIENT_STEP_M = 2e-5  # central differences: error of order step^2, below 1e-6 of a degree on these shapes
 MOST_STEPS = 3000
+# numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever texture.py does;
+# tests/test_synth_truth.py holds the two together.
+TEXTURE = "8901d062635484d1"
 
 
 @njit(cache=True, nogil=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 # Material row: pattern, colour (3), second colour (3), contrast, frequency, octaves, gain, specular, exponent, stretch (3).
-MATTE, SKIN, HAIR, CLOTH, WOOD, EYE, PAPER, TILES = 0, 1, 2, 3, 4, 5, 6, 7
+MATTE, SKIN, HAIR, CLOTH, WOOD, EYE, PAPER, TILES, MARBLE = 0, 1, 2, 3, 4, 5, 6, 7, 8
 MATERIAL_COLUMNS = 16
 
 
@@ -107,6 +107,11 @@ def albedo_at(m, x, y, z, out):
         u, v = abs(u - math.floor(u) - 0.5), abs(v - math.floor(v) - 0.5)
         mix = _step(0.32, 0.22, math.sqrt(u * u + v * v))
         gain *= 1.0 - 0.35 * _step(0.40, 0.46, max(u, v))
+    elif pattern == MARBLE:  # veins of the second colour: where a warped noise passes zero
+        wx = 0.06 * noise(x * 9.0, y * 9.0, z * 9.0, 90)
+        broad = abs(noise((x + wx) * 7.0, (y - wx) * 5.0 + 2.0 * x, (z + wx) * 7.0, 91))
+        fine = abs(noise((x - wx) * 19.0, (y + wx) * 15.0, (z + wx) * 19.0, 92))
+        mix = min(0.75 * _step(0.09, 0.0, broad) * (0.6 + 0.8 * fine) + 0.35 * _step(0.05, 0.0, fine), 1.0)
     elif pattern == EYE:  # iris and pupil about the object's +z
         angle = math.atan2(math.sqrt(x * x + y * y), z)
         ray = noise(math.atan2(y, x) * 8.0, angle * 6.0, 0.0, 80)

@@ -32,7 +32,7 @@ def _both(*parts: Primitive) -> list[Primitive]:
     return out
 
 
-def _skin(swing_deg: float) -> tuple[Primitive, ...]:
+def skin_parts(swing_deg: float) -> tuple[Primitive, ...]:
     """Head, neck and chest in the head's frame; the chest stays with the body while the head swings."""
     chest = rotation(y_deg=-swing_deg) @ (0.0, -0.275, -0.035)
     skull = [
@@ -80,7 +80,7 @@ def _skin(swing_deg: float) -> tuple[Primitive, ...]:
     return (*skull, *eyes, *nose, *mouth, *ears)
 
 
-def _hair() -> tuple[Primitive, ...]:
+def hair_parts() -> tuple[Primitive, ...]:
     return (
         ellipsoid((0, 0.034, -0.026), (0.0800, 0.0885, 0.0965)),
         ellipsoid((0, -0.025, -0.060), (0.068, 0.060, 0.056), blend_m=0.03),
@@ -208,7 +208,7 @@ def bust(*, texture: float = 1.0, face_texture: float | None = None, frame: floa
             R_world_object=turned,
             size=(0.27,),
             bound_m=(0, -0.12, 0),
-            primitives=_skin(swing),
+            primitives=skin_parts(swing),
         ),
         Object(
             name="hair",
@@ -218,7 +218,7 @@ def bust(*, texture: float = 1.0, face_texture: float | None = None, frame: floa
             R_world_object=turned,
             size=(0.165,),
             bound_m=(0, 0.02, -0.02),
-            primitives=_hair(),
+            primitives=hair_parts(),
             wrinkles_m=0.0016,
             wrinkles_per_m=(110, 35, 60),
         ),

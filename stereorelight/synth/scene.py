@@ -19,7 +19,7 @@ from stereorelight.errors import ShotError, nearest_hint
 from stereorelight.synth.lights import Light
 
 Vector = tuple[float, float, float]
-PATTERNS = ("matte", "skin", "hair", "cloth", "wood", "eye", "paper", "tiles")  # in the order of engine/texture.py
+PATTERNS = ("matte", "skin", "hair", "cloth", "wood", "eye", "paper", "tiles", "marble")  # in the order of engine/texture.py
 KINDS = ("plane", "sphere", "box", "solid", "rod")  # in the order of engine/raycast.py
 
 

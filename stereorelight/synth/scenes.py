@@ -11,8 +11,10 @@ from typing import Protocol
 from stereorelight.errors import ShotError, nearest_hint
 from stereorelight.synth.bust import bust, weak
 from stereorelight.synth.hard_cases import repeat, table, thin
+from stereorelight.synth.interior import interior
 from stereorelight.synth.lights import Light
 from stereorelight.synth.scene import Material, Object, Scene, rotation
+from stereorelight.synth.statue import statue
 
 KEY = Light(name="key", type="point", position_m=(-0.8, 0.9, 0.2), intensity=1.6)
 AMBIENT = (0.15, 0.15, 0.15)
@@ -83,6 +85,8 @@ _SCENES: Mapping[str, Builder] = MappingProxyType(
         "thin": thin,
         "table": table,
         "repeat": repeat,
+        "interior": interior,
+        "statue": statue,
         "plane": plane,
         "slanted": slanted,
         "sphere": sphere,

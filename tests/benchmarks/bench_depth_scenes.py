@@ -90,7 +90,8 @@ def row(scene: str, size: tuple[int, int], quality: str, pair: Pair, shading: bo
     }
     return (
         f"{scene:7s} {size[0]}x{size[1]:<5d} {quality + (' + shading' if shading else ''):20s} cover {100 * np.isfinite(error).mean():5.1f}  "
-        f"bad1 {100 * (error[seen] > 1).mean():5.2f}  bad2 {100 * (error[seen] > 2).mean():5.2f}  at edges {100 * (error[seen & edges] > 2).mean():5.2f}  "
+        f"bad1 {100 * (error[seen] > 1).mean():5.2f}  bad2 {100 * (error[seen] > 2).mean():5.2f}  "
+        f"at edges {100 * (error[seen & edges] > 2).mean():5.2f}  "
         f"N all {middle(seen)}  " + "  ".join(f"{name} {middle(mask)}" for name, mask in regions.items()) + f"  {seconds:5.1f} s"
     )
 
