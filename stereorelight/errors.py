@@ -32,6 +32,10 @@ class OutputError(StereoRelightError):
     """A result that cannot be written: it exists, the folder is read-only, the disk is full."""
 
 
+class GateError(StereoRelightError):
+    """A figure that a gate does not let through: the work was done, and is not good enough."""
+
+
 def nearest_hint(word: str, known: Iterable[str]) -> str:
     """`; did you mean 'x'?` for the nearest of `known`, or the list of them where none is near."""
     names = sorted(known)

@@ -1,17 +1,17 @@
 """Figures as JSON and plain text, and errors as a picture.
 
-In: figures of compare/depth.py and compare/normals.py, or (H, W) arrays.  Out: text, or (H, W, 3) uint8, display-coded."""
+In: what a comparison says (compare/figures.py), or (H, W) arrays.  Out: text, or (H, W, 3) uint8, display-coded."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from stereorelight.arrays import UInt8, as_float32
+from stereorelight.arrays import Bool, UInt8, as_float32
 from stereorelight.errors import PassError
 
 ZERO = np.array([235.0, 235.0, 235.0])
@@ -29,33 +29,55 @@ class Figures(Protocol):
     def text(self) -> str: ...
 
 
-def comparison_json(figures: Mapping[str, Figures], *, result: str = "", truth: str = "") -> str:
+def comparison_json(figures: Mapping[str, Figures], *, result: str = "", truth: str = "", more: Mapping[str, Any] | None = None) -> str:
     """One JSON object: {"result", "truth", and each kind of figures by its name}; figures that do not exist are null."""
-    return json.dumps({"result": result, "truth": truth} | {name: f.to_dict() for name, f in figures.items()}, indent=2, allow_nan=False)
+    return json.dumps(
+        {"result": result, "truth": truth} | {name: f.to_dict() for name, f in figures.items()} | dict(more or {}), indent=2, allow_nan=False
+    )
 
 
 def comparison_text(figures: Mapping[str, Figures], *, result: str = "", truth: str = "") -> str:
     """The same for people: what was compared with what, then a table of each kind."""
-    head = [f"{result} against {truth}"] if result or truth else []
+    head = [f"{result} against {truth}" if truth else result] if result or truth else []
     return "\n\n".join(head + [f.text() for f in figures.values()])
 
 
 def error_map(result: npt.ArrayLike, truth: npt.ArrayLike, *, scale: float) -> UInt8:
-    """(H, W, 3) uint8: signed error on a fixed scale, so that two pictures can be compared.
+    """(H, W, 3) uint8: signed error on a fixed scale, so that two pictures can be compared; colours as of `error_picture`.
 
-    Light grey is no error, full red +`scale` or more (result larger), full blue -`scale` or less; black is no answer, mid grey no truth.
     result, truth : (H, W) float, NaN where unknown; `scale` in their unit.
     """
-    if not scale > 0:
-        raise PassError(f"scale must be > 0, got {scale!r}")
     t = as_float32(truth, "truth")
     r = as_float32(result, "result", size_hw=(t.shape[0], t.shape[1]))
     with np.errstate(invalid="ignore"):
-        share = np.clip((r.astype(np.float64) - t) / scale, -1, 1)
-    known = np.isfinite(share)
-    share = np.where(known, share, 0)[..., None]
-    colour = ZERO + np.abs(share) * (np.where(share > 0, ABOVE, BELOW) - ZERO)
-    picture: UInt8 = np.rint(colour).astype(np.uint8)
+        error = r.astype(np.float64) - t
+    picture = error_picture(np.where(np.isfinite(r), error, np.nan), known=np.isfinite(t), scale=scale)
     picture[~np.isfinite(r)] = NO_ANSWER
     picture[~np.isfinite(t)] = NO_TRUTH
     return picture
+
+
+def error_picture(error: npt.NDArray[Any], *, scale: float, known: Bool | None = None, sequential: bool = False) -> UInt8:
+    """(H, W, 3) uint8 of a signed error (H, W).
+
+    Light grey is no error, full red +`scale` or more (result larger), full blue -`scale` or less; black is no answer, mid grey no truth.
+    known : (H, W) where the truth is known.   sequential : the error has no sign: its size from grey to red.
+    """
+    if not scale > 0:
+        raise PassError(f"scale must be > 0, got {scale!r}")
+    finite = np.isfinite(error)
+    share = np.clip(np.where(finite, np.abs(error) if sequential else error, 0) / scale, -1, 1)
+    table = _table()
+    picture: UInt8 = table[np.rint((share + 1) * HALF).astype(np.intp)]
+    picture[~finite] = NO_ANSWER
+    if known is not None:
+        picture[~known] = NO_TRUTH
+    return picture
+
+
+HALF = 1 << 12  # steps of the table on each side of 0
+
+
+def _table() -> UInt8:
+    share = np.arange(-HALF, HALF + 1)[:, None] / HALF
+    return np.rint(ZERO + np.abs(share) * (np.where(share > 0, ABOVE, BELOW) - ZERO)).astype(np.uint8)
