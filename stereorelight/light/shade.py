@@ -33,6 +33,7 @@ def light_layers(
     mattes: Mapping[str, npt.ArrayLike] | None = None,
     materials: Sequence[Material] = (),
     camera: Camera | None = None,
+    shadows: Mapping[str, npt.ArrayLike] | None = None,
 ) -> dict[str, Float32]:
     """Every enabled light's own layers: `light_<name>_diffuse` always, `light_<name>_specular` where it or a material has a highlight or a rim.
 
@@ -41,6 +42,7 @@ def light_layers(
     mattes  : (H, W) in 0..1 by the name that a light's `matte` holds; NaN counts as 0.
     materials : surfaces by matte, which take the place of the lights' own settings there; later ones lie over earlier ones.
     camera  : its pose places lights in world space; without one, world = camera.
+    shadows : (H, W) in 0..1 by the name of the light whose both layers it multiplies; NaN counts as 0.
     Returns : layers in the order of the lights.  diffuse = albedo * strength * max(0, N.L), specular = strength * max(0, R.V)^exponent,
               V = normalize(-P), R the mirror image of L; nothing where N.L <= 0 (but for `wrap`).  Their sum is the light's whole effect.
     Raises  : PassError for arrays that do not fit, ShotError for a matte that is not there.
@@ -63,7 +65,7 @@ def light_layers(
         slots.append((names.index(f"light_{light.name}_diffuse"), specular))
     layers = np.empty((len(names), *size_hw, 3), np.float32)
     if shining:
-        rows = _rows(shining, materials, mattes or {}, size_hw, slots)
+        rows = _rows(shining, materials, mattes or {}, size_hw, slots, shadows or {})
         engine.shade(engine.Surface(P=P_, N=N_), albedo_, rows.table, rows.slots, rows.mattes, glows=rows.glows, layers=layers)
     return dict(zip(names, layers))
 
@@ -80,6 +82,7 @@ def relight_fused(
     mattes: Mapping[str, npt.ArrayLike] | None = None,
     materials: Sequence[Material] = (),
     rays: npt.ArrayLike | None = None,
+    shadows: Mapping[str, npt.ArrayLike] | None = None,
 ) -> Float32:
     """The relit plate in one pass, without P or layers in memory: the same as `light_layers` and `comp.relight`, to float precision.
 
@@ -87,6 +90,7 @@ def relight_fused(
     albedo     : (H, W, 3) linear, or None for the plate.
     plate_gain : one number or three, >= 0.
     rays       : (H, W, 2), `camera.ray_grid()`, for a lens that bends: give it where many frames share a camera; worked out where None.
+    shadows    : as in `light_layers`.
     Returns    : (H, W, 3) float32: plate * plate_gain + light.  No lights and gain 1 return the plate bit for bit.
     """
     from stereorelight.engine import light as engine
@@ -102,7 +106,7 @@ def relight_fused(
     rays_ = None if rays is None else as_float32(rays, "rays", channels=2, size_hw=camera.size_hw)
     if camera.distorts and rays_ is None:
         rays_ = camera.ray_grid()
-    rows = _rows(shining, materials, mattes or {}, camera.size_hw, [(-1, -1)] * len(shining))
+    rows = _rows(shining, materials, mattes or {}, camera.size_hw, [(-1, -1)] * len(shining), shadows or {})
     surface = engine.Surface(Z=Z_, N=N_, rays=rays_, pinhole=(camera.fx, camera.fy, camera.cx, camera.cy))
     beauty = np.empty_like(plate_)
     engine.shade(surface, albedo_, rows.table, rows.slots, rows.mattes, glows=rows.glows, plate=plate_, gain=gain, beauty=beauty)
@@ -149,6 +153,7 @@ def _rows(
     mattes: Mapping[str, npt.ArrayLike],
     size_hw: tuple[int, int],
     layers: Sequence[tuple[int, int]],
+    shadows: Mapping[str, npt.ArrayLike],
 ) -> _Rows:
     """One row for every light on every material, the lights' own settings first."""
     from stereorelight.engine import light as engine
@@ -161,6 +166,12 @@ def _rows(
         if name is not None and name not in indices:
             indices[name] = len(stack)
             stack.append(_matte(name, asker, mattes, size_hw))
+    held = {light.name: -1 if light.matte is None else indices[light.matte] for light in lights}
+    for light in lights:  # a shadow is one more matte, of one light
+        if light.name in shadows:
+            shadow = _matte(light.name, f"shadow of light {light.name!r}", shadows, size_hw)
+            stack.append(shadow if held[light.name] < 0 else shadow * stack[held[light.name]])
+            held[light.name] = len(stack) - 1
     own = -1
     first = len(stack)
     if materials:
@@ -173,7 +184,7 @@ def _rows(
     for light, (diffuse, specular) in zip(lights, layers):
         for index, surface in enumerate([light, *(material.under(light) for material in materials)]):
             slot = [-1] * engine.SLOTS
-            slot[engine.MATTE] = -1 if light.matte is None else indices[light.matte]
+            slot[engine.MATTE] = held[light.name]
             slot[engine.DIFFUSE_SLOT], slot[engine.SPECULAR_SLOT] = diffuse, specular
             slot[engine.COVER] = own if index == 0 else first + index
             slot[engine.SHAPE] = {SphereLight: engine.BALL, RectLight: engine.RECTANGLE}.get(type(light), engine.POINT)
