@@ -70,6 +70,7 @@ PREFIXED_ROLES: Mapping[str, Role] = MappingProxyType(
     {
         "light_": Role(3, "one light's layer", colour=True),
         "env_": Role(3, "one layer of the environment's light", colour=True),
+        "paint_": Role(3, "one painted layer; an ink line's takes light away", colour=True),
         "group_": Role(3, "the sum of a group of lights' layers", colour=True),
         "matte_": Role(None, "a matte", low=0, high=1),
     }
@@ -153,6 +154,10 @@ class Frame(Mapping[str, npt.NDArray[Any]]):
 
     def __contains__(self, name: object) -> bool:
         return name in self.passes
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The pass, or `default` where there is none."""
+        return self.passes.get(name, default)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.passes)

@@ -94,6 +94,20 @@ def test_by_hand_gives_what_a_run_gives(shot: Path, tmp_path: Path) -> None:
     assert read_still(png).rgb.shape == (SIZE[1], SIZE[0], 3)
 
 
+def test_a_fade_is_shown_beside_the_preview(shot: Path, tmp_path: Path) -> None:
+    """Where depth is doubted the picture of trust is darker; without a fade there is none."""
+    (tmp_path / "lights.toml").write_text('[[lights]]\nname = "a"\ntype = "point"\nposition_m = [0, 0, 0]\n')
+    made = ("relight", shot / "plates" / "left.png", next((shot / "out" / "passes").iterdir()), "--lights", tmp_path / "lights.toml")
+    for name, fade in (("plain", 0), ("faded", 1)):
+        result = call(*made, "--fade", fade, "--out", tmp_path / f"{name}.exr", "--preview", tmp_path / f"{name}.png")
+        assert result.exit_code == 0, result.output
+    assert not (tmp_path / "plain.trust.png").exists()
+    shown, kept = read_still(tmp_path / "faded.trust.png").rgb, read_frame(tmp_path / "faded.exr")["matte_trust"]
+    assert shown.shape[:2] == kept.shape
+    assert kept.min() < 0.5 < kept.max()
+    assert np.corrcoef(shown.mean(axis=-1).ravel(), kept.ravel())[0, 1] > 0.7
+
+
 def test_depth_of_the_right_eye(shot: Path, tmp_path: Path) -> None:
     """The right eye's depth lies on the right plate: it agrees with the left eye's one where that lands."""
     found = answer(*depth(shot, tmp_path / "z.exr", "--eye", "right"))

@@ -258,3 +258,9 @@ def test_nearest_hint() -> None:
     assert nearest_hint("colour_spase", ["colour_space", "frames"]) == "; did you mean 'colour_space'?"
     assert nearest_hint("qqq", ["b", "a"]) == "; known: a, b"
     assert nearest_hint("qqq", []) == ""
+
+
+def test_get_gives_a_default_where_a_pass_is_missing() -> None:
+    frame = Frame(passes={"Z": np.ones((2, 3), np.float32)})
+    assert frame.get("confidence") is None
+    assert frame.get("Z") is frame["Z"]

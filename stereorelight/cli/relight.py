@@ -16,7 +16,7 @@ MODES = ("add", "multiply", "light_only")  # of comp.py, which numpy comes with
 @click.argument("passes")
 @click.option("--lights", "lights_path", required=True, type=FILE, metavar="lights.toml", help="The lights: [[lights]] tables.")
 @out_option
-@click.option("--preview", metavar="FILE.png", help="Also write the relit plate as a picture to look at.")
+@click.option("--preview", metavar="FILE.png", help="Also write the relit plate as a picture to look at; with a fade FILE.trust.png, too.")
 @click.option("--plate-gain", type=click.FloatRange(min=0), help="What is left of the plate's own light.  [default: the light file's, else 1]")
 @click.option("--mode", type=click.Choice(MODES), help="How light and plate come together.  [default: the light file's, else add]")
 @click.option(
@@ -44,7 +44,7 @@ def command(
 ) -> None:
     """PLATE under the lights of a file, with the P and N of PASSES.exr.
 
-    Writes the relit plate as RGB and every light's diffuse and specular layer.
+    Writes the relit plate as RGB and every layer of light beside it.
     """
     import numpy as np
 
@@ -52,10 +52,11 @@ def command(
     from stereorelight.cli.common import outputs_for
     from stereorelight.cli.progress import Bar
     from stereorelight.errors import PassError
+    from stereorelight.files import refuse_overwrite
     from stereorelight.footage.clip import open_clip
     from stereorelight.footage.eyes import plate_frames
     from stereorelight.footage.frames import read_frame, write_frame
-    from stereorelight.footage.preview import plate_picture
+    from stereorelight.footage.preview import confidence_picture, plate_picture
     from stereorelight.footage.sequence import Sequence
     from stereorelight.footage.stills import write_still
     from stereorelight.passes import Frame
@@ -78,9 +79,12 @@ def command(
     lighting.check(numbers)
     paths = outputs_for(out, numbers, force=force)
     previews = outputs_for(preview, numbers, force=force) if preview else [None] * len(numbers)
+    trusts = [path and path.with_name(f"{path.stem}.trust.png") for path in previews] if setup.relight.fade > 0 else [None] * len(numbers)
+    for trust_path in filter(None, trusts):
+        refuse_overwrite(trust_path, force=force)
     results = []
     with Bar("relight", total=len(numbers)) as bar:
-        for number, path, picture in zip(numbers, paths, previews):
+        for number, path, picture, doubt in zip(numbers, paths, previews, trusts):
             bar.note(path.name)
             frame = read_frame(surfaces.path(number))
             light_on = pictures.read(number)
@@ -101,6 +105,8 @@ def command(
             write_frame(path, relit, half=colour == "half", force=force, timecode=pictures.timecode(number), rate=pictures.rate)
             if picture:
                 write_still(picture, plate_picture(lit.beauty), force=force)
+            if doubt and lit.trust is not None:
+                write_still(doubt, confidence_picture(lit.trust), force=force)
             results.append({"frame": number, "file": str(path), **relight_figures(lit.layers, lit.beauty)})
             bar.note(path.name, advance=1)
     first = results[0]

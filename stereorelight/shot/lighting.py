@@ -5,7 +5,7 @@ Everything lies on the upright left plate; mattes from files are painted on that
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -31,6 +31,7 @@ from stereorelight.light.environment_settings import EnvironmentSettings
 from stereorelight.light.gobo import gobo_factor
 from stereorelight.light.lights import Light, SpotLight
 from stereorelight.light.mattes import FileMatte, matte_arrays
+from stereorelight.light.painted import LitSphere, Outline, Paint, Toon, inked, toned
 from stereorelight.light.place import place_of
 from stereorelight.light.shade import group_layers, light_layers
 from stereorelight.shot.points import Points
@@ -106,7 +107,7 @@ class Lighting:
     rig: Rig | None = None
     points: Points | None = None
     digest: Callable[[int], str] | None = None
-    _gobos: dict[Path, Float32] = field(default_factory=dict)
+    _pictures: dict[Path, Float32] = field(default_factory=dict)
     _maps: dict[Any, Environment] = field(default_factory=dict)
 
     @cached_property
@@ -135,7 +136,7 @@ class Lighting:
                 self.poses.at(number)
             for file in self._files(number):
                 if not file.is_file():
-                    raise PlateError(f"{file}: file missing; {self.setup.path} names it as a matte, a gobo or the environment")
+                    raise PlateError(f"{file}: file missing; {self.setup.path} names it as a matte, a gobo, a lit sphere or the environment")
         for track, stuck in self._stuck():
             known = None if self.points is None else self.points.numbers
             if stuck.frame is not None and known is not None and stuck.frame not in known:
@@ -206,10 +207,36 @@ class Lighting:
         own = {name: layer for name, layer in layers.items() if name.rpartition("_")[0] == f"light_{light.name}"}
         if not (isinstance(light, SpotLight) and light.gobo and light.enabled):
             return layers
-        path = self._path(light.gobo, number)
-        if path not in self._gobos:
-            self._gobos[path] = np.maximum(read_plate(path, colour=self.colour), 0)
-        return layers | faded(own, gobo_factor(P, light, self._gobos[path], camera=camera))
+        return layers | faded(own, gobo_factor(P, light, self._picture(light.gobo, number), camera=camera))
+
+    def _picture(self, name: str, number: int | None) -> Float32:
+        """A gobo or a lit sphere, read once."""
+        path = self._path(name, number)
+        if path not in self._pictures:
+            self._pictures[path] = np.maximum(read_plate(path, colour=self.colour), 0)
+        return self._pictures[path]
+
+    def _painted(
+        self,
+        paints: Sequence[Paint],
+        number: int | None,
+        passes: Mapping[str, Array],
+        plate: Float32,
+        mattes: Mapping[str, Float32],
+        shading: Callable[[Sequence[str]], Float32],
+    ) -> dict[str, Float32]:
+        """The layers of lit spheres and toon ramps.  shading : of lights by name, on white."""
+        made: dict[str, Float32] = {}
+        for paint in paints:
+            if not isinstance(paint, (LitSphere, Toon)):
+                continue
+            seen = self._picture(paint.file, number) if isinstance(paint, LitSphere) else shading(paint.of)
+            try:
+                layer = toned(paint, seen, P=passes["P"], N=passes["N"], plate=plate)
+            except PassError as error:
+                raise PassError(f"{self._path(paint.file, number)}: {error}" if isinstance(paint, LitSphere) else str(error)) from None
+            made[paint.layer] = layer if paint.matte is None else faded({"": layer}, np.nan_to_num(mattes[paint.matte]))[""]
+        return made
 
     def _around(
         self,
@@ -262,12 +289,26 @@ class Lighting:
         lights = self.lights(number, P, camera)
         mattes = self.mattes(number, passes, camera, given)
         albedo = np.ones_like(plate) if knobs.mode == "multiply" else plate
-        layers = light_layers(P, N, albedo, lights, mattes=mattes, materials=self.setup.materials_at(number), camera=camera)
-        for light in lights:
-            layers = self._thrown(layers, light, number, P, camera)
+        paints = self.setup.painted_at(number)
+        own, shining = ({light.name for light in found(number)} for found in (self.setup.own_at, self.setup.shining_at))
+
+        def lit_by(names: Collection[str], on: Float32) -> dict[str, Float32]:
+            some = [light for light in lights if light.name in names]
+            layers = light_layers(P, N, on, some, mattes=mattes, materials=self.setup.materials_at(number), camera=camera)
+            for light in some:
+                layers = self._thrown(layers, light, number, P, camera)
+            return layers
+
+        def shading(names: Sequence[str]) -> Float32:
+            asked = shining & set(names) if names else shining
+            white = [layer for name, layer in lit_by(asked, np.ones_like(plate)).items() if name.endswith("_diffuse")]
+            return np.sum(white, axis=0, dtype=np.float32) if white else np.zeros_like(plate)
+
+        layers = lit_by(own, albedo)
         around = self.setup.environment_at(number)
         if around is not None and around.enabled:
             layers |= self._around(around, number, passes, albedo, plate, mattes, camera)
+        layers |= self._painted(paints, number, passes, albedo, mattes, shading)
         # The same layers on every frame, in one order: a light or a highlight that is off on this frame alone is black.
         layers = {name: layers[name] if name in layers else np.zeros_like(plate) for name in self.setup.layer_names}
         trusted = None
@@ -280,10 +321,16 @@ class Lighting:
                 most_sigma_deg=knobs.fade_sigma_deg,
             )
             layers = faded(layers, trusted)
+        for paint in paints:
+            if isinstance(paint, Outline):
+                white = {"add": plate, "multiply": albedo, "light_only": np.zeros_like(plate)}[knobs.mode]
+                beneath = relight(white, layers, plate_gain=knobs.plate_gain)
+                ink = inked(paint, beneath, P=P, N=N, matte=None if paint.matte is None else mattes[paint.matte])
+                layers[paint.layer] = ink if trusted is None else faded({"": ink}, trusted)[""]
         alpha = None
         if knobs.mode == "light_only":
-            shining = {light.name for light in self.setup.shining_at(number)}
             held = [light.matte for light in lights if light.name in shining] + ([around.matte] if around is not None and around.enabled else [])
+            held += [paint.matte for paint in paints]
             alpha = light_alpha(N, [None if name is None else mattes[name] for name in held], trust=trusted)
         beauty = relight(plate, layers, plate_gain=knobs.plate_gain, mode=knobs.mode)
         return Lit(layers=layers, beauty=beauty, alpha=alpha, trust=trusted, groups=group_layers(layers, lights))

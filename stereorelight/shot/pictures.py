@@ -16,7 +16,7 @@ from stereorelight.shot.schema import Shot
 
 SCENE = ("plate", "depth", "confidence", "flags", "P", "N")
 CELL_PX = 480  # width of one picture on the contact sheet
-LIGHT, AROUND = "light_", "env_"
+LIGHT, AROUND, PAINT = "light_", "env_", "paint_"
 
 
 def scene_names(shot: Shot) -> list[str]:
@@ -75,6 +75,7 @@ def _lights(shot: Shot) -> list[str]:
 def relit_names(shot: Shot) -> list[str]:
     """The names of `relit_pictures`."""
     around = ["environment"] if any(name.startswith(AROUND) for name in shot.setup.layer_names) else []
+    around += [name for name in shot.setup.layer_names if name.startswith(PAINT)]
     trust = ["trust"] if shot.tables.relight.fade > 0 else []
     return [*_lights(shot), *around, *trust, "relit", "before_after", "contact"]
 
@@ -87,12 +88,13 @@ def relit_pictures(job: FrameJob) -> dict[str, UInt8]:
         made[light] = shown(np.sum(parts, axis=0, dtype=np.float32), job.shot)
     if around := [layer for name, layer in job.lit.layers.items() if name.startswith(AROUND)]:
         made["environment"] = shown(np.sum(around, axis=0, dtype=np.float32), job.shot)
+    made |= {name: shown(layer, job.shot) for name, layer in job.lit.layers.items() if name.startswith(PAINT)}
     if job.lit.trust is not None:
         made["trust"] = preview.confidence_picture(job.lit.trust)
     made["relit"] = shown(job.lit.beauty, job.shot)
     scene = scene_pictures(job)
     made["before_after"] = preview.before_after(scene["plate"], made["relit"])
     sheet = [("plate", scene["plate"]), ("relit", made["relit"]), *((n, p) for n, p in scene.items() if n != "plate")]
-    sheet += [(n, p) for n, p in made.items() if n.startswith(LIGHT) or n in ("environment", "trust")]
+    sheet += [(n, p) for n, p in made.items() if n.startswith((LIGHT, PAINT)) or n in ("environment", "trust")]
     made["contact"] = preview.contact_sheet(sheet, columns=3, width=CELL_PX)
     return made

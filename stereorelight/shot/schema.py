@@ -123,6 +123,7 @@ class ShotTables(Table):
     mattes: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
     environment: dict[str, Any] | None = None
+    painted: list[dict[str, Any]] = []
     output: OutputTable = OutputTable()
 
 
@@ -131,6 +132,7 @@ class LightTables(Table):
     mattes: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
     environment: dict[str, Any] | None = None
+    painted: list[dict[str, Any]] = []
     camera: CameraTable | None = None
     relight: RelightTable = RelightTable()
 
@@ -304,11 +306,11 @@ def _checked_colour(path: Path, tables: ShotTables, lines: dict[tuple[str | int,
 
 
 def read_light_file(path: str | Path) -> Setup:
-    """A file of [[lights]], [[mattes]], [[materials]], [environment], [camera] and [relight].  Raises ShotError naming file and line."""
+    """A file of [[lights]], [[mattes]], [[materials]], [environment], [[painted]], [camera] and [relight].  Raises ShotError naming file and line."""
     path = Path(path)
     tables, lines = _checked_tables(path, LightTables)
-    if "lights" not in tables.model_fields_set and tables.environment is None:
-        raise ShotError(f"{path}: table 'lights' is missing; add [[lights]], or [environment]")
+    if "lights" not in tables.model_fields_set and tables.environment is None and not tables.painted:
+        raise ShotError(f"{path}: table 'lights' is missing; add [[lights]], [environment] or [[painted]]")
     return _setup(path, tables, lines, given=None)
 
 
@@ -323,6 +325,7 @@ def _setup(path: Path, tables: LightTables | ShotTables, lines: dict[tuple[str |
         mattes=tables.mattes,
         materials=tables.materials,
         environment=tables.environment,
+        painted=tables.painted,
         camera=tables.camera,
         relight=tables.relight,
         given=given,

@@ -13,12 +13,13 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from stereorelight.errors import ShotError, StereoRelightError
+from stereorelight.errors import ShotError, StereoRelightError, nearest_hint
 from stereorelight.light.animate import LightTrack, Moving, light_tracks, moving_table
 from stereorelight.light.environment_settings import EnvironmentSettings, environment_from_dict
 from stereorelight.light.lights import Light, SpotLight
 from stereorelight.light.materials import Material, materials_from_dicts
 from stereorelight.light.mattes import FileMatte, Matte, checked_mattes, known_mattes, matte_from_dict
+from stereorelight.light.painted import PREFIX, LitSphere, Paint, Toon, painted_from_dict, replaced
 
 ENVIRONMENT_PARTS = ("diffuse", "reflection", "refraction")  # layers of it, each with a strength of its own
 Where = Callable[[tuple[str | int, ...]], str]  # file and line of a key
@@ -55,7 +56,7 @@ class Setup:
 
     path   : the file that says so; the paths in it are from its folder.
     lights : in the file's order, those that are off included.     mattes : in the file's order.
-    materials   : surfaces by matte.     environment : light from all around, or None.
+    materials   : surfaces by matte.     environment : light from all around, or None.     painted : lit spheres, toon ramps, ink.
     camera : None for a camera that stands at the origin of the world.
     """
 
@@ -64,6 +65,7 @@ class Setup:
     mattes: tuple[Moving, ...] = ()
     materials: tuple[Moving, ...] = ()
     environment: Moving | None = None
+    painted: tuple[Moving, ...] = ()
     camera: CameraTable | None = None
     relight: RelightTable = field(default_factory=RelightTable)
 
@@ -78,18 +80,25 @@ class Setup:
     @cached_property
     def layer_names(self) -> list[str]:
         """The light layers of every frame: all that any frame has."""
-        movings = [*(track.moving for track in self.lights), *self.materials]
+        movings = [*(track.moving for track in self.lights), *self.materials, *self.painted]
         frames: list[float | None] = [*sorted({f for moving in movings for f in moving.key_frames() if f is not None})]
-        made = {name for frame in frames or [None] for light in self.shining_at(frame) for name in self._layers_of(light, frame)}
+        made = {name for frame in frames or [None] for light in self.own_at(frame) for name in self._layers_of(light, frame)}
         of_lights = [name for track in self.lights for part in ("diffuse", "specular") if (name := f"light_{track.name}_{part}") in made]
         around = [self.environment_at(frame) for frame in self.environment.key_frames()] if self.environment else []
         of_all = [f"env_{part}" for part in ENVIRONMENT_PARTS if any(found and found.enabled and getattr(found, part) > 0 for found in around)]
-        return [*of_lights, *of_all]
+        shown = {paint.layer for frame in frames or [None] for paint in self.painted_at(frame)}
+        return [*of_lights, *of_all, *(layer for moving in self.painted if (layer := f"{PREFIX}{moving.table['name']}") in shown)]
 
     def shining_at(self, frame: float | None) -> list[Light]:
         """The lights that have layers on a frame, their stuck places stood in for: those that are on, or the solo ones alone."""
         lights = [light for track in self.lights if (light := track.at(frame)).enabled]
         return [light for light in lights if light.solo] or lights
+
+    def own_at(self, frame: float | None) -> list[Light]:
+        """Those of them that have layers of their own: a toon ramp may stand for some."""
+        shining = self.shining_at(frame)
+        taken = replaced(self.painted_at(frame), [light.name for light in shining])
+        return [light for light in shining if light.name not in taken]
 
     def _layers_of(self, light: Light, frame: float | None) -> list[str]:
         shines = light.shines or any(material.under(light).shines for material in self.materials_at(frame))
@@ -103,6 +112,10 @@ class Setup:
         """The light from all around on a frame.  Raises ShotError."""
         return None if self.environment is None else environment_from_dict(self.environment.at(frame))
 
+    def painted_at(self, frame: float | None) -> list[Paint]:
+        """The painted layers that are on, in the file's order.  Raises ShotError."""
+        return [paint for moving in self.painted if (paint := painted_from_dict(moving.at(frame), moving.label)).enabled]
+
     def mattes_at(self, frame: float | None) -> list[Matte]:
         """The mattes of a frame, before anything is read."""
         return [matte_from_dict(moving.at(frame), moving.label) for moving in self.mattes]
@@ -113,6 +126,7 @@ class Setup:
         names = [matte.file for matte in self.mattes_at(frame) if isinstance(matte, FileMatte)]
         names += [light.gobo for light in lights if isinstance(light, SpotLight) and light.enabled and light.gobo]
         names += [around.file] if around is not None and around.file is not None and around.needs_map else []
+        names += [paint.file for paint in self.painted_at(frame) if isinstance(paint, LitSphere)]
         return list(dict.fromkeys(names))
 
     def tables(self) -> dict[str, Any]:
@@ -122,6 +136,7 @@ class Setup:
             "mattes": [dict(moving.table) for moving in self.mattes],
             "materials": [dict(moving.table) for moving in self.materials],
             "environment": None if self.environment is None else dict(self.environment.table),
+            "painted": [dict(moving.table) for moving in self.painted],
             "camera": None if self.camera is None else self.camera.model_dump(),
             "relight": self.relight.model_dump(),
         }
@@ -145,6 +160,7 @@ def checked_setup(
     mattes: Sequence[Mapping[str, Any]] = (),
     materials: Sequence[Mapping[str, Any]] = (),
     environment: Mapping[str, Any] | None = None,
+    painted: Sequence[Mapping[str, Any]] = (),
     camera: CameraTable | None = None,
     relight: RelightTable | None = None,
     given: Sequence[str] | None = (),
@@ -163,6 +179,9 @@ def checked_setup(
     for index, table in enumerate(materials):
         surfaces.append(_told(where, "materials", index, table, lambda table=table, index=index: _material_over(table, index)))  # type: ignore[misc]
     around = None if environment is None else _told(where, "environment", None, environment, lambda: _environment_over(environment))
+    paints: list[Moving] = []
+    for index, table in enumerate(painted):
+        paints.append(_told(where, "painted", index, table, lambda table=table, index=index: _paint_over(table, index, paints, lights)))  # type: ignore[misc]
     knobs = relight or RelightTable()
     try:
         setup = Setup(
@@ -171,6 +190,7 @@ def checked_setup(
             mattes=tuple(movings),
             materials=tuple(surfaces),
             environment=around,
+            painted=tuple(paints),
             camera=camera,
             relight=knobs,
         )
@@ -186,6 +206,9 @@ def checked_setup(
         for index, moving in enumerate(surfaces):
             held = [str(moving.at(frame)["matte"]) for frame in moving.key_frames()]
             _told(where, "materials", index, moving.table, lambda held=held, moving=moving: known_mattes(held, known, moving.label))  # type: ignore[misc]
+        for index, moving in enumerate(paints):
+            worn = [painted_from_dict(moving.at(frame), moving.label).matte for frame in moving.key_frames()]
+            _told(where, "painted", index, moving.table, lambda worn=worn, moving=moving: known_mattes(worn, known, moving.label))  # type: ignore[misc]
         if around is not None:
             names = [found.matte for frame in around.key_frames() if (found := setup.environment_at(frame))]
             _told(where, "environment", None, around.table, lambda: known_mattes(names, known, "environment"))
@@ -208,6 +231,24 @@ def _material_over(table: Mapping[str, Any], index: int) -> Moving:
         raise ShotError(f"{moving.label}: {next(iter(moving.stuck))} cannot go with a pixel; only places of lights can")
     for frame in moving.key_frames():
         materials_from_dicts([moving.at(frame)])
+    return moving
+
+
+def _paint_over(table: Mapping[str, Any], index: int, earlier: Sequence[Moving], lights: Sequence[Mapping[str, Any]]) -> Moving:
+    moving = moving_table(table, f"painted {table['name']!r}" if "name" in table else f"painted number {index + 1}")
+    if moving.stuck:
+        raise ShotError(f"{moving.label}: {next(iter(moving.stuck))} cannot go with a pixel; only places of lights can")
+    if any(other.table["name"] == table.get("name") for other in earlier):
+        raise ShotError(f"{moving.label}: name is taken by an earlier one; names must differ, since they name the layers")
+    names = [str(light.get("name")) for light in lights]
+    for frame in moving.key_frames():
+        paint = painted_from_dict(moving.at(frame), moving.label)
+        if isinstance(paint, Toon):
+            if not names:
+                raise ShotError(f"{moving.label}: a toon ramp is made of lights, and there are none; add [[lights]]")
+            for name in paint.of:
+                if name not in names:
+                    raise ShotError(f"{moving.label}: of names light {name!r}, which is unknown{nearest_hint(name, names)}")
     return moving
 
 

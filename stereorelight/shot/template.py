@@ -48,7 +48,7 @@ and for each of them: name, enabled, intensity (1 makes a white card that faces 
 (stops), color, diffuse and specular (strengths), exponent (10 is dull, 200 is glossy), wrap (0 to 1), matte (by name).
 Any value may be keys on frames (intensity = { keys = [[1001, 1.0], [1020, 3.0]], ease = "smooth" }), and a place may go
 with a picture point (position_m = { pixel = [962, 540], frame = 1012, offset_m = [0, 0.1, 0.4] }).
-[[mattes]], [environment], and [camera] for a camera that moves, are explained in docs/relight.md."""
+[[mattes]], [[materials]], [environment], [[painted]] looks, and [camera] for a camera that moves, are in docs/relight.md."""
 OUTPUT = """\
 preview_near_m = 1.0       # nearest and farthest distance in the depth previews;
 preview_far_m = 8.0        # measured once on the first frame when left out
