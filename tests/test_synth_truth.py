@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from stereorelight.camera import Camera, Eye, Rig
-from stereorelight.engine import raycast, texture
+from stereorelight.engine import raycast, solids, texture
+from stereorelight.engine.solids import field
 from stereorelight.passes import Flag
 from stereorelight.synth.render import FLIP, Shot, render
 from stereorelight.synth.rigs import RIGS, is_rectified, parallel_rig, rectified_rig, rig_named
@@ -117,7 +119,7 @@ def test_occlusion_against_brute_force(rig_name: str) -> None:
     flags = made.left["flags"]
     hidden, open_ = (flags & Flag.OCCLUDED) > 0, flags == 0
     picks = [tuple(p) for mask in (hidden, open_) for p in rng.permutation(np.argwhere(mask))[:60]]
-    solids = [names.index(n) for n in ("skin", "hair", "shirt")]
+    round_things = [names.index(n) for n in ("skin", "hair", "shirt")]
     target = rig.right_centre_m @ FLIP
     judged = 0
     for v, u in picks:
@@ -128,9 +130,9 @@ def test_occlusion_against_brute_force(rig_name: str) -> None:
         for n, thing in enumerate(scene.objects):
             R, origin = tables.objects[n, 4:13].reshape(3, 3), tables.objects[n, 13:16]
             local = (path - origin) @ R.T
-            if n in solids:
+            if n in round_things:
                 local = local[np.linalg.norm(local - tables.objects[n, 17:20], axis=-1) < tables.objects[n, 16]]
-                clearance = min([clearance, *(raycast.field(tables.objects, n, tables.primitives, *p) for p in local)])
+                clearance = min([clearance, *(field(tables.objects, n, tables.primitives, *p) for p in local)])
             elif thing.kind == "box":
                 clearance = min(clearance, (np.abs(local) - thing.size).max(axis=-1).min())
             elif thing.kind == "sphere":
@@ -232,7 +234,7 @@ def test_leaving_out_far_shapes_changes_nothing() -> None:
     for n, thing in enumerate(scene_named("bust").objects):
         if thing.kind == "solid":
             for p in rng.uniform(-0.25, 0.25, (3000, 3)) + thing.bound_m:
-                assert raycast.field(tables.objects, n, tables.primitives, *p) == raycast.field(tables.objects, n, every, *p)
+                assert field(tables.objects, n, tables.primitives, *p) == field(tables.objects, n, every, *p)
 
 
 def test_rigs_stand_as_they_say() -> None:
@@ -249,6 +251,26 @@ def test_rigs_stand_as_they_say() -> None:
     assert rig_named("hard", SIZE).mirrored == "right"
 
 
-def test_the_cached_caster_is_that_of_todays_patterns() -> None:
-    found = hashlib.sha256(Path(texture.__file__).read_text(encoding="utf-8").encode()).hexdigest()[:16]
-    assert found == raycast.TEXTURE, f'texture.py has changed: set TEXTURE = "{found}" in engine/raycast.py'
+@pytest.mark.parametrize(
+    ("kernel", "name", "source"), [(solids, "TEXTURE", texture), (raycast, "TEXTURE", texture), (raycast, "SOLIDS", solids)]
+)
+def test_the_cached_kernels_are_made_of_todays_sources(kernel: ModuleType, name: str, source: ModuleType) -> None:
+    found = hashlib.sha256(Path(str(source.__file__)).read_bytes()).hexdigest()[:16]
+    assert found == getattr(kernel, name), f'{source.__file__} has changed: set {name} = "{found}" in {kernel.__file__}'
+
+
+def test_tables_of_empty_space_change_no_hit() -> None:
+    """Primary and shadow rays of the bust with its tables of empty space and without: one object, one place."""
+    tables = scene_named("bust").tables()
+    camera = parallel_rig((120, 68)).left
+    directions = camera.rays(camera.pixel_grid().reshape(-1, 2)) @ FLIP
+    plain, hit = raycast.first_hits(tables.objects, tables.primitives, np.zeros((1, 3)), directions)
+    t, same = raycast.first_hits(tables.objects, tables.primitives, np.zeros((1, 3)), directions, empty=tables.empty)
+    np.testing.assert_array_equal(hit, same)
+    np.testing.assert_allclose(t, plain, atol=1e-11)
+    light = np.array([[-0.75, 0.75, -0.55]])
+    along = plain[:, None] * directions - light
+    limits = np.full(len(along), 1 - 1e-5)
+    dark, dark_too = (raycast.blocked(tables.objects, tables.primitives, light, along, limits, empty=e) for e in (None, tables.empty))
+    np.testing.assert_array_equal(dark, dark_too)
+    assert 0.01 < dark.mean() < 0.5

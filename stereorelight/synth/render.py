@@ -86,7 +86,7 @@ class _Hits:
 def _cast(tables: Tables, camera: Camera, pose: Float64, pixels: Float64) -> _Hits:
     directions = camera.rays(pixels.reshape(-1, 2)) @ (pose[:3, :3] @ FLIP).T
     origin = pose[None, :3, 3]
-    t, hit = raycast.first_hits(tables.objects, tables.primitives, origin, directions)
+    t, hit = raycast.first_hits(tables.objects, tables.primitives, origin, directions, empty=tables.empty)
     points = origin + t[:, None] * directions
     normals, albedo, specular = raycast.surface_at(tables.objects, tables.primitives, tables.materials, points, hit)
     views = -directions / np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -98,7 +98,7 @@ def _blocked(tables: Tables, starts: Float64, points: Float64, asked: Bool) -> B
     along = points - starts
     with np.errstate(invalid="ignore"):
         limits = np.where(asked, 1.0 - SELF_M / np.linalg.norm(along, axis=-1), 0.0)
-    return raycast.blocked(tables.objects, tables.primitives, starts, along, limits)
+    return raycast.blocked(tables.objects, tables.primitives, starts, along, limits, empty=tables.empty)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,6 +7,7 @@ the same surface point, and a turning head takes its skin along.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from stereorelight.arrays import Float64
+from stereorelight.engine.solids import Emptiness, emptiness
 from stereorelight.errors import ShotError, nearest_hint
 from stereorelight.synth.lights import Light
 
@@ -157,6 +159,11 @@ class Tables:
     objects: Float64
     primitives: Float64
     materials: Float64
+
+    @functools.cached_property
+    def empty(self) -> Emptiness:
+        """Where a ray may step without asking."""
+        return emptiness(self.objects, self.primitives)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
