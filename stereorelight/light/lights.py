@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from stereorelight.arrays import Float64
 from stereorelight.errors import ShotError, nearest_hint
+from stereorelight.light.diffusion import scatter_shape
 from stereorelight.light.kelvin import COLDEST_K, HOTTEST_K, kelvin_color
 
 Vector = tuple[float, float, float]
@@ -51,6 +52,8 @@ class Light:
     specular_tint  : linear tint of the highlight alone, >= 0.
     normalised     : scale the lobe by (exponent + 2) / 2: with strength 1, lit and seen head on, the highlight then
                      sends back as much light as a white card, whatever its exponent.
+    scatter        : what is under the surface: a name of light/diffusion.py, such as "skin"; None for nothing.
+    scatter_mm     : how far light spreads in it, mm: one number or three (light/diffusion.py); 0 is off, None the preset's own.
     wrap           : 0..1, how far the light reaches round the surface: max(0, (N.L + wrap) / (1 + wrap)).
     model          : of the surface: "phong", "ggx" (Smith height-correlated, what bounces between facets given back), or "lambert",
                      which has no highlight.
@@ -84,6 +87,8 @@ class Light:
     rim: float = 0.0
     rim_power: float = 3.0
     rim_color: Vector = (1.0, 1.0, 1.0)
+    scatter: str | None = None
+    scatter_mm: float | Vector | None = None
     wrap: float = 0.0
     space: Literal["camera", "world"] = "camera"
 
@@ -117,6 +122,9 @@ class Light:
         self._number("rim", low=0, high=1e6)
         self._number("rim_power", low=1, high=100)
         self._vector("rim_color", low=0, high=1e6)
+        scatter_shape(self.scatter, self.scatter_mm, f"light {self.name!r}")
+        if self.scatter_mm is not None and not isinstance(self.scatter_mm, (int, float)):
+            self._vector("scatter_mm", low=0)
         self._flag("solo")
         if self.group is not None and (not isinstance(self.group, str) or not NAME.fullmatch(self.group)):
             raise self._error("group", "must be a name of letters, digits and _", repr(self.group), "leave it out for no group")

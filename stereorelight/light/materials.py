@@ -27,7 +27,8 @@ class Material(Checked):
 
     name, matte : what it is called, and the name of the matte in which it stands.
     model       : "phong", "ggx" or "lambert" (no highlight).
-    diffuse, specular, exponent, normalised, specular_tint, roughness, f0, ior, rim, rim_power, rim_color : as a `Light` has them.
+    diffuse, specular, exponent, normalised, specular_tint, roughness, f0, ior, rim, rim_power, rim_color, scatter, scatter_mm :
+                  as a `Light` has them.
     Where mattes overlap, a later material lies over an earlier one; where none reaches, the light's own settings hold.
     Raises      : ShotError naming the material, the key, what was wanted and what came.
     """
@@ -48,6 +49,8 @@ class Material(Checked):
     rim: float | None = None
     rim_power: float | None = None
     rim_color: Vector | None = None
+    scatter: str | None = None
+    scatter_mm: float | Vector | None = None
 
     def __post_init__(self) -> None:
         for key in ("name", "matte"):
@@ -73,6 +76,8 @@ class Material(Checked):
             given["f0"] = None
         elif "f0" in given:
             given["ior"] = None
+        if "scatter" in given:  # and so does its length
+            given.setdefault("scatter_mm", None)
         return replace(light, **given)
 
 

@@ -34,6 +34,7 @@ from stereorelight.light.mattes import FileMatte, matte_arrays
 from stereorelight.light.painted import LitSphere, Outline, Paint, Toon, inked, toned
 from stereorelight.light.place import place_of
 from stereorelight.light.shade import group_layers, light_layers
+from stereorelight.light.subsurface import scatter_layers, scatters
 from stereorelight.shot.points import Points
 from stereorelight.shot.receipt import file_digest
 from stereorelight.shot.setup import Setup
@@ -289,14 +290,22 @@ class Lighting:
         lights = self.lights(number, P, camera)
         mattes = self.mattes(number, passes, camera, given)
         albedo = np.ones_like(plate) if knobs.mode == "multiply" else plate
+        materials = self.setup.materials_at(number)
         paints = self.setup.painted_at(number)
         own, shining = ({light.name for light in found(number)} for found in (self.setup.own_at, self.setup.shining_at))
 
         def lit_by(names: Collection[str], on: Float32) -> dict[str, Float32]:
             some = [light for light in lights if light.name in names]
-            layers = light_layers(P, N, on, some, mattes=mattes, materials=self.setup.materials_at(number), camera=camera)
+            # Light that goes through a surface is reckoned on white, and meets the albedo where it comes out.
+            soft = [light for light in some if scatters(light, materials)]
+            layers = light_layers(P, N, on, [light for light in some if light not in soft], mattes=mattes, materials=materials, camera=camera)
+            if soft:
+                layers |= light_layers(P, N, np.ones_like(on), soft, mattes=mattes, materials=materials, camera=camera)
             for light in some:
                 layers = self._thrown(layers, light, number, P, camera)
+            if soft:
+                layers = scatter_layers(layers, P, N, soft, materials=materials, mattes=mattes)
+                layers |= {name: layers[name] * on for light in soft if (name := f"light_{light.name}_diffuse") in layers}
             return layers
 
         def shading(names: Sequence[str]) -> Float32:
@@ -307,7 +316,12 @@ class Lighting:
         layers = lit_by(own, albedo)
         around = self.setup.environment_at(number)
         if around is not None and around.enabled:
-            layers |= self._around(around, number, passes, albedo, plate, mattes, camera)
+            soft_around = scatters(None, materials)
+            made = self._around(around, number, passes, np.ones_like(plate) if soft_around else albedo, plate, mattes, camera)
+            if soft_around and "env_diffuse" in made:
+                made = scatter_layers(made, P, N, (), materials=materials, mattes=mattes)
+                made["env_diffuse"] *= albedo
+            layers |= made
         layers |= self._painted(paints, number, passes, albedo, mattes, shading)
         # The same layers on every frame, in one order: a light or a highlight that is off on this frame alone is black.
         layers = {name: layers[name] if name in layers else np.zeros_like(plate) for name in self.setup.layer_names}
