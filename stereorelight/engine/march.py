@@ -72,7 +72,7 @@ def _targets(n, x, y, sample, offsets, q, px, py, pz, nx, ny, nz, lift, sx, sy, 
         w = front * (shining if q[14] > f4(0) else f4(1))
         sx[i] = ox
         sy[i] = -oy
-        sz[i] = -oz
+        sz[i] = -oz if oz < f4(-1e-6) else f4(1e-6)
         lx[i] = tx
         ly[i] = -ty
         lz[i] = -tz
@@ -98,6 +98,11 @@ def _rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, h
         k0 = f4(1) / z
         u0 = sx[i] * k0 * fx + cx
         v0 = sy[i] * k0 * fy + cy
+        # A start that was lifted over the border of the grid stays on it: nothing may be looked up beyond.
+        u0 = u0 if u0 > f4(0) else f4(0)
+        u0 = u0 if u0 < width else width
+        v0 = v0 if v0 > f4(0) else f4(0)
+        v0 = v0 if v0 < height else height
         k1 = f4(1) / (z + c * t)
         a = (sx[i] + lx[i] * t) * k1 * fx + cx - u0
         b = (sy[i] + ly[i] * t) * k1 * fy + cy - v0

@@ -19,7 +19,8 @@ from stereorelight.errors import PassError
 from stereorelight.surface.position import checked_depth, ray_slopes
 
 STEEPEST_DEG = 78.0  # a step between neighbours that lies flatter than this to the eye's ray is a surface, whatever stands about it
-LOOK_PX = 3  # how far a steeper one is followed to tell a grazing surface from an edge, which matching smears over 2 px
+LOOK_PX = 3  # how far a steeper one is followed to tell a grazing surface from an edge
+LOOK_RECOVERED_PX = 8  # the same for depth that was matched, whose edges are smeared
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +53,7 @@ class Links:
         return left, right, up, low
 
 
-def _linked(w: Float64, sigma: Float64, flat: float) -> Bool:
+def _linked(w: Float64, sigma: Float64, flat: float, look: int) -> Bool:
     """Links along the last axis of inverse depth w; `flat` is the share of w that a surface may change a pixel anyhow."""
     step = np.diff(w)
     width = w.shape[1]
@@ -61,12 +62,12 @@ def _linked(w: Float64, sigma: Float64, flat: float) -> Bool:
         linked: Bool = np.abs(step) <= flat * np.minimum(w[:, 1:], w[:, :-1]) + noise
         for side in (-1, 1):  # the slope before the step, and the one behind it
             slope = np.full_like(step, np.nan)
-            if width > LOOK_PX + 1:
-                far = (w[:, LOOK_PX:] - w[:, :-LOOK_PX]) / LOOK_PX
+            if width > look + 1:
+                far = (w[:, look:] - w[:, :-look]) / look
                 if side < 0:
-                    slope[:, LOOK_PX:] = far[:, :-1]
+                    slope[:, look:] = far[:, :-1]
                 else:
-                    slope[:, :-LOOK_PX] = far[:, 1:]
+                    slope[:, :-look] = far[:, 1:]
             linked |= np.abs(step - slope) <= np.abs(slope) + noise
     return linked
 
@@ -81,7 +82,48 @@ def links_of(Z: npt.ArrayLike, camera: Camera, *, Z_sigma: npt.ArrayLike | None 
     sigma = np.zeros_like(depth) if Z_sigma is None else as_float32(Z_sigma, "Z_sigma", size_hw=camera.size_hw) / depth**2
     w = 1 / depth
     steep = math.tan(math.radians(STEEPEST_DEG))
-    return Links(across=_linked(w, sigma, steep / camera.fx), down=_linked(w.T, sigma.T, steep / camera.fy).T)
+    look = LOOK_PX if Z_sigma is None else LOOK_RECOVERED_PX
+    return Links(across=_linked(w, sigma, steep / camera.fx, look), down=_linked(w.T, sigma.T, steep / camera.fy, look).T)
+
+
+def solid(links: Links) -> Bool:
+    """(H, W) bool: the pixels of some 3 x 3 patch that hangs together.
+
+    Matching cannot find what is narrower, but leaves specks and threads at depth edges, which would cast streaks."""
+    h, w = links.down.shape[0] + 1, links.across.shape[1] + 1
+    whole = links.across[:-1] & links.across[1:] & links.down[:, :-1] & links.down[:, 1:]
+    patch = whole[:-1, :-1] & whole[:-1, 1:] & whole[1:, :-1] & whole[1:, 1:]
+    held = np.zeros((h, w), bool)
+    for dy in range(3):
+        for dx in range(3):
+            held[dy : h - 2 + dy, dx : w - 2 + dx] |= patch
+    return held
+
+
+def beside_nearer(Z: Float32, links: Links, *, within_px: int) -> Bool:
+    """(H, W) bool: pixels within so many steps of an edge, on its farther side.
+
+    Matching bends the ground up to whatever stands before it: true enough for light, but no caster of shadows."""
+    seeds = np.zeros(Z.shape, bool)
+    with np.errstate(invalid="ignore"):
+        seeds[:, 1:] |= ~links.across & (Z[:, 1:] > Z[:, :-1])
+        seeds[:, :-1] |= ~links.across & (Z[:, :-1] > Z[:, 1:])
+        seeds[1:] |= ~links.down & (Z[1:] > Z[:-1])
+        seeds[:-1] |= ~links.down & (Z[:-1] > Z[1:])
+    left, right, up, low = links.beside()
+    for _ in range(within_px):
+        grown = seeds.copy()
+        grown[:, 1:] |= seeds[:, :-1] & left[:, 1:]
+        grown[:, :-1] |= seeds[:, 1:] & right[:, :-1]
+        grown[1:] |= seeds[:-1] & up[1:]
+        grown[:-1] |= seeds[1:] & low[:-1]
+        seeds = grown
+    return seeds
+
+
+def without(links: Links, gone: Bool) -> Links:
+    """The links that are left where some pixels are taken out."""
+    return Links(across=links.across & ~gone[:, 1:] & ~gone[:, :-1], down=links.down & ~gone[1:] & ~gone[:-1])
 
 
 def half_steps(w: Float64, links: Links) -> tuple[Float64, Float64, Float64, Float64]:

@@ -21,13 +21,14 @@ from stereorelight.arrays import Bool, Float32, Float64, as_float32
 from stereorelight.camera import Camera
 from stereorelight.errors import PassError, ShotError, nearest_hint
 from stereorelight.surface.emitters import Emitter, on_disc, spread, towards_light
-from stereorelight.surface.mesh import Links, Mesh, half_steps, links_of, mesh_from_depth
+from stereorelight.surface.mesh import Links, Mesh, beside_nearer, half_steps, links_of, mesh_from_depth, solid, without
 from stereorelight.surface.position import checked_depth, position_from_depth
 
 Method = Literal["march", "rays"]
 METHODS = ("march", "rays")
 SIGMAS = 2.0  # standard deviations of the depth that a ray starts off it by
 REACH = 1.0  # tangent of a slope that any surface may have between two looks of the march
+BESIDE_PX = 4  # of matched depth: how far beside a nearer thing the ground is not to be trusted
 LEAST = 2e-5  # of the distance: float32 itself
 STEPS = 512
 RAYS_AT_ONCE = 1 << 18
@@ -82,8 +83,17 @@ class ShadowScene:
         return links_of(self.Z, self.camera, Z_sigma=self.Z_sigma)
 
     @cached_property
+    def casts(self) -> Bool:
+        """(H, W): the pixels that cast shadows; of a depth that was recovered, those that are no specks, and no ground bent up."""
+        known: Bool = np.isfinite(self.Z)
+        if self.Z_sigma is None or min(self.Z.shape) < 3:
+            return known
+        return known & solid(self.links) & ~beside_nearer(self.Z, self.links, within_px=BESIDE_PX)
+
+    @cached_property
     def mesh(self) -> Mesh:
-        return mesh_from_depth(self.Z, self.camera, Z_sigma=self.Z_sigma, thickness_m=self.thickness_m, links=self.links)
+        Z = np.where(self.casts, self.Z, np.float32(np.nan))
+        return mesh_from_depth(Z, self.camera, thickness_m=self.thickness_m, links=without(self.links, ~self.casts))
 
     @cached_property
     def halves(self) -> Float32:
@@ -148,6 +158,7 @@ class ShadowScene:
         inverse = np.where(np.isfinite(self.Z), 1 / self.Z, np.float32(UNSEEN)).astype(np.float32)
         if self.open is not None:
             inverse[self.open & ~np.isfinite(self.Z)] = OPEN
+        inverse[np.isfinite(self.Z) & ~self.casts] = OPEN
         camera = self.camera
         numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
         if not camera.distorts:
