@@ -8,6 +8,7 @@ pixel, as a sensor does."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,6 +26,7 @@ from stereorelight.synth.rigs import is_rectified, rectified_rig
 from stereorelight.synth.scene import Scene, Tables
 
 FLIP = np.diag([1.0, -1.0, -1.0])  # camera frame <-> scene frame
+AREA_RAYS = 16  # places of an area light that each ray of a plate looks at
 SELF_M = 2e-6  # a ray that ends on a surface must not find that surface; hits are exact to 1e-11 m
 
 
@@ -71,7 +73,7 @@ def world_from_eye(rig: Rig, eye: Eye) -> Float64:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Hits:
+class Hits:
     """What a set of rays met, in world coordinates; rows of rays that met nothing are NaN, with object -1."""
 
     t: Float64
@@ -83,14 +85,14 @@ class _Hits:
     views: Float64
 
 
-def _cast(tables: Tables, camera: Camera, pose: Float64, pixels: Float64) -> _Hits:
+def cast(tables: Tables, camera: Camera, pose: Float64, pixels: Float64) -> Hits:
     directions = camera.rays(pixels.reshape(-1, 2)) @ (pose[:3, :3] @ FLIP).T
     origin = pose[None, :3, 3]
     t, hit = raycast.first_hits(tables.objects, tables.primitives, origin, directions, empty=tables.empty)
     points = origin + t[:, None] * directions
     normals, albedo, specular = raycast.surface_at(tables.objects, tables.primitives, tables.materials, points, hit)
     views = -directions / np.linalg.norm(directions, axis=-1, keepdims=True)
-    return _Hits(t=t, object=hit, points=points, normals=normals, albedo=albedo, specular=specular, views=views)
+    return Hits(t=t, object=hit, points=points, normals=normals, albedo=albedo, specular=specular, views=views)
 
 
 def _blocked(tables: Tables, starts: Float64, points: Float64, asked: Bool) -> Bool:
@@ -107,24 +109,49 @@ class _Lit:
     layers: dict[str, Float64]
 
 
-def _light(tables: Tables, hits: _Hits, lights: Sequence[Light], ambient: tuple[float, float, float], shadows: bool) -> _Lit:
+def shone(
+    tables: Tables, hits: Hits, light: Light, *, shadows: bool = True, places: int = 1, turn: int = 0
+) -> tuple[Float64, Float64, Float64, Float64]:
+    """One light on what rays met: diffuse and specular (n, 3) without its shadow, and both again with it.
+
+    places : from how many places an area light shines; `turn` picks others of them.
+    """
+    met = (hits.object >= 0)[:, None]
+    total = [np.zeros_like(hits.points) for _ in range(4)]
+    spread = light.places(places, turn=turn)
+    for place in spread:
+        one = light.at(place)
+        layers = [np.where(met, a, 0.0) for a in shade(one, hits.points, hits.normals, hits.views, hits.albedo, hits.specular)]
+        lit = layers
+        if shadows:
+            asked = (layers[0] + layers[1]).sum(axis=-1) > 0
+            arrives = (asked & ~_blocked(tables, one.ray_starts(hits.points), hits.points, asked))[:, None]
+            lit = [layer * arrives for layer in layers]
+        for sum_, layer in zip(total, (*layers, *lit)):
+            sum_ += layer / len(spread)
+    return total[0], total[1], total[2], total[3]
+
+
+def share_lit(open_: Float64, lit: Float64) -> Float64:
+    """(n,) the share 0..1 of a light that arrives, from what it is without and with its shadow (n, 3); 0 where there is no light."""
+    whole = open_.sum(axis=-1)
+    return np.divide(lit.sum(axis=-1), whole, out=np.zeros_like(whole), where=whole > 0)
+
+
+def _light(tables: Tables, hits: Hits, lights: Sequence[Light], ambient: tuple[float, float, float], shadows: bool, turn: int = 0) -> _Lit:
     """The picture (n, 3), and each light's diffuse, specular and share of light that arrives."""
     met = hits.object >= 0
     picture = np.where(met[:, None], hits.albedo * ambient, 0.0)
     layers: dict[str, Float64] = {}
     for light in lights:
-        diffuse, shine = shade(light, hits.points, hits.normals, hits.views, hits.albedo, hits.specular)
-        diffuse, shine = (np.where(met[:, None], layer, 0.0) for layer in (diffuse, shine))
-        arrives = met.astype(np.float64)
-        if shadows:
-            asked = (diffuse + shine).sum(axis=-1) > 0
-            arrives = np.where(asked & ~_blocked(tables, light.ray_starts(hits.points), hits.points, asked), 1.0, 0.0)
-        picture = picture + arrives[:, None] * (diffuse + shine)
-        layers |= {f"light_{light.name}_diffuse": diffuse, f"light_{light.name}_specular": shine, f"matte_lit_{light.name}": arrives}
+        diffuse, shine, lit_diffuse, lit_shine = shone(tables, hits, light, shadows=shadows, places=AREA_RAYS, turn=turn)
+        picture = picture + lit_diffuse + lit_shine
+        layers |= {f"light_{light.name}_diffuse": diffuse, f"light_{light.name}_specular": shine}
+        layers[f"matte_lit_{light.name}"] = share_lit(diffuse + shine, lit_diffuse + lit_shine) if shadows else met.astype(np.float64)
     return _Lit(picture=picture, layers=layers)
 
 
-def _unseen(tables: Tables, hits: _Hits, camera: Camera, pose: Float64) -> npt.NDArray[np.uint16]:
+def _unseen(tables: Tables, hits: Hits, camera: Camera, pose: Float64) -> npt.NDArray[np.uint16]:
     """Flags (n,): why the eye `camera` at `pose` cannot see each point."""
     met = hits.object >= 0
     seen = camera.project((hits.points - pose[:3, 3]) @ pose[:3, :3] @ FLIP)
@@ -143,16 +170,15 @@ def _render_eye(
     other: Eye = "right" if eye == "left" else "left"
     h, w = camera.size_hw
     grid = camera.pixel_grid()
-    hits = _cast(tables, camera, pose, grid)
+    hits = cast(tables, camera, pose, grid)
     truth = _light(tables, hits, lights, ambient, shadows)
     picture = truth.picture
     if samples > 1:
         picture = np.zeros_like(picture)
         steps = (np.arange(samples) + 0.5) / samples - 0.5
-        for dv in steps:
-            for du in steps:
-                inner = _cast(tables, camera, pose, grid + (du, dv))
-                picture += _light(tables, inner, lights, ambient, shadows).picture
+        for turn, (dv, du) in enumerate(itertools.product(steps, steps)):
+            inner = cast(tables, camera, pose, grid + (du, dv))
+            picture += _light(tables, inner, lights, ambient, shadows, turn).picture
         picture /= samples * samples
 
     def laid_out(values: Float64) -> Float32:
