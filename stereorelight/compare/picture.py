@@ -173,7 +173,7 @@ def picture_figures(
     if not peak > 0:
         raise PassError(f"peak, what counts as white, must be > 0, got {peak!r}")
     r, t, known = _pair(result, truth, "picture")
-    answered = np.isfinite(r).all(axis=-1)
+    answered: Bool = np.asarray(np.isfinite(r).all(axis=-1))
     a = np.where(np.isfinite(r), r, 0).astype(np.float64)
     b = np.where(known[..., None], t, 0).astype(np.float64)
     a[~known] = 0
