@@ -63,6 +63,8 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         "alpha": Role(None, "where light may fall, of light alone", low=0, high=1),
         "albedo": Role(3, "surface colour under white light of 1", colour=True),
         "occlusion": Role(None, "share of the hemisphere that is open", low=0, high=1),
+        "ao": Role(None, "ambient occlusion: the share of the light from all around that arrives", low=0, high=1),
+        "bent": Role(3, "mean direction of what is open, unit, scene frame of the camera"),
         "flow": Role(2, "motion to the next frame as (x, y), pixels"),
     }
 )
@@ -73,6 +75,7 @@ PREFIXED_ROLES: Mapping[str, Role] = MappingProxyType(
         "paint_": Role(3, "one painted layer; an ink line's takes light away", colour=True),
         "group_": Role(3, "the sum of a group of lights' layers", colour=True),
         "matte_": Role(None, "a matte", low=0, high=1),
+        "shadow_": Role(None, "the share of a light that arrives, or that nobody can know of", low=0, high=1),
     }
 )
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")

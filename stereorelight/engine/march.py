@@ -99,17 +99,17 @@ def _rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, h
         u0 = sx[i] * k0 * fx + cx
         v0 = sy[i] * k0 * fy + cy
         # A start that was lifted over the border of the grid stays on it: nothing may be looked up beyond.
-        u0 = u0 if u0 > f4(0) else f4(0)
+        u0 = u0 if u0 > f4(1) else f4(1)
         u0 = u0 if u0 < width else width
-        v0 = v0 if v0 > f4(0) else f4(0)
+        v0 = v0 if v0 > f4(1) else f4(1)
         v0 = v0 if v0 < height else height
         k1 = f4(1) / (z + c * t)
         a = (sx[i] + lx[i] * t) * k1 * fx + cx - u0
         b = (sy[i] + ly[i] * t) * k1 * fy + cy - v0
         e = k1 - k0
         # The share of the ray that lies in the frame.
-        room_u = (width - u0) if a > f4(0) else u0
-        room_v = (height - v0) if b > f4(0) else v0
+        room_u = (width - u0) if a > f4(0) else u0 - f4(1)
+        room_v = (height - v0) if b > f4(0) else v0 - f4(1)
         room_u = room_u if room_u > f4(0) else f4(0)
         room_v = room_v if room_v > f4(0) else f4(0)
         abs_u = abs(a) + f4(1e-9)

@@ -1,7 +1,8 @@
 """Frames of passes to EXR layers and back, and Z passes of any renderer.
 
 Layers: Z; P.X P.Y P.Z; N.X N.Y N.Z; disparity.X; confidence.Y; flags.Y (the reason bits as float); flow.X flow.Y; beauty as
-bare R G B, its alpha as A; plate.R ..; light_<name>_diffuse.R ..; matte_<name>.Y.  Data is 32-bit float, colour half.  Z in metres along
+bare R G B, its alpha as A; plate.R ..; light_<name>_diffuse.R ..; matte_<name>.Y;
+shadow_<name>.Y; ao.Y; bent.X bent.Y bent.Z.  Data is 32-bit float, colour half.  Z in metres along
 the optical axis; P and N in the scene frame (x right, y up, the camera looks down -z), as the header says too.
 Colour is scene-linear in the working space, which the header names with its primaries; a file of another one is converted when
 read.  Time code and rate are the header's `timeCode` and `framesPerSecond`, and `metadata["timecode"]` and `["rate"]` of a Frame."""
@@ -29,7 +30,7 @@ AXES = "scene frame of the camera: x right, y up, camera looks down -z; metres"
 OURS = "stereorelight/"  # header words of ours begin with it
 TIMECODE_KEY, RATE_KEY = "timecode", "rate"  # of Frame.metadata
 EXR_FRAMES = 40  # the header's time code counts frames of a second up to here; beyond, it is kept as a word
-LETTERS = {"Z": "", "disparity": "X", "P": "XYZ", "N": "XYZ", "flow": "XY"}
+LETTERS = {"Z": "", "disparity": "X", "P": "XYZ", "N": "XYZ", "bent": "XYZ", "flow": "XY"}
 DEPTH_LAYERS, DEPTH_LETTERS = ("depth", "z"), ("Z", "V", "R", "Y", "X")  # how renderers call a Z pass
 BACKGROUND_M = 1e9  # renderers write 1e10 and the like where nothing is
 Array = npt.NDArray[Any]

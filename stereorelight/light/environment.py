@@ -129,6 +129,8 @@ def environment_layers(
     camera: Camera | None = None,
     plate: npt.ArrayLike | None = None,
     mattes: Mapping[str, npt.ArrayLike] | None = None,
+    ao: npt.ArrayLike | None = None,
+    bent: npt.ArrayLike | None = None,
 ) -> dict[str, Float32]:
     """`env_diffuse`, `env_reflection` and `env_refraction`, each where its strength is above 0; their sum is the environment's whole effect.
 
@@ -138,6 +140,8 @@ def environment_layers(
     camera      : its pose turns a map in world space; it is needed for the plate as backdrop.
     plate       : (H, W, 3), the backdrop; with settings.backdrop "plate".
     mattes      : (H, W) in 0..1 by name; NaN counts as 0.
+    ao, bent    : (H, W) and (H, W, 3), as surface/occlusion.py makes them: diffuse is then ao albedo E diffuse irradiance(bent), and reflection
+                  is taken times the share of its lobe that is open (Lagarde and de Rousiers 2014, listing 26).  Refraction looks inwards, and stays.
     Returns     : with E = tint 2^exposure, F Fresnel's share (1 for both where `fresnel` is off), R the mirrored and T the refracted eye ray:
                   diffuse = albedo E diffuse irradiance(N), reflection = E F tint map(R), refraction = E (1 - F) tint map(T).
                   A normal that looks away from the eye is turned round for R and T.  Rough maps are those of GGX seen head on.
@@ -176,9 +180,12 @@ def environment_layers(
             tables["rough"] = environment.table(str(level + 1))
             numbers[engine.BLEND] = share
     behind = np.empty_like(N_) if on_plate else None
+    if bent is not None and "env_diffuse" in layers:
+        along = as_float32(bent, "bent", channels=3, size_hw=size_hw)
+        engine.shade(P_, along, albedo_, held, numbers, soft=tables.pop("soft"), diffuse=layers["env_diffuse"])
     engine.shade(
-        P_, N_, albedo_, held, numbers, **tables, diffuse=layers.get("env_diffuse"), reflection=layers.get("env_reflection"),
-        refraction=layers.get("env_refraction"), behind=behind,
+        P_, N_, albedo_, held, numbers, **tables, diffuse=layers.get("env_diffuse") if "soft" in tables else None,
+        reflection=layers.get("env_reflection"), refraction=layers.get("env_refraction"), behind=behind,
     )  # fmt: skip
     if behind is not None and camera is not None:
         picture = as_float32(plate, "plate", channels=3, size_hw=size_hw)
@@ -187,7 +194,21 @@ def environment_layers(
         _to_pixels(behind, camera)
         layers["env_refraction"] = np.empty_like(N_)
         engine.from_plate(behind, picture, settings.refraction * np.array(settings.refraction_tint), layers["env_refraction"])
+    if ao is not None:
+        arrives = np.nan_to_num(as_float32(ao, "ao", size_hw=size_hw))
+        if "env_diffuse" in layers:
+            layers["env_diffuse"] *= arrives[..., None]
+        if "env_reflection" in layers:
+            layers["env_reflection"] *= _open_lobe(arrives, P_, N_, settings.roughness)[..., None]
     return layers
+
+
+def _open_lobe(ao: Float32, P: Float32, N: Float32, roughness: float) -> Float32:
+    """(H, W) share of a mirror lobe of this roughness that is open where so much of the hemisphere is."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        facing = np.abs((P * N).sum(axis=-1)) / np.sqrt((P * P).sum(axis=-1) * (N * N).sum(axis=-1))
+        lobe = (np.clip(np.nan_to_num(facing), 0, 1) + ao) ** np.exp2(-16 * roughness - 1) - 1 + ao
+    return np.clip(lobe, 0, 1).astype(np.float32)
 
 
 def _numbers(settings: EnvironmentSettings, camera: Camera | None) -> Float32:

@@ -42,6 +42,7 @@ class EnvironmentSettings(Checked):
     backdrop     : what refraction shows: "environment", or the "plate" behind the surface.
     thickness_m  : with the plate: how far the refracted ray goes on before it meets what the plate shows.
     matte        : name of the matte that holds it, or None.
+    occlusion    : whether the surface keeps light from itself: diffuse along bent normals times ambient occlusion, reflection by what of it is open.
     enabled      : False leaves every layer out.
     """
 
@@ -69,6 +70,7 @@ class EnvironmentSettings(Checked):
     backdrop: Literal["environment", "plate"] = "environment"
     thickness_m: float = 0.1
     matte: str | None = None
+    occlusion: bool = False
     enabled: bool = True
 
     def __post_init__(self) -> None:
@@ -101,6 +103,7 @@ class EnvironmentSettings(Checked):
         self._number("thickness_m", low=0, high=1e3)
         if self.matte is not None and (not isinstance(self.matte, str) or not NAME.fullmatch(self.matte)):
             raise self._error("matte", "must be the name of a matte", repr(self.matte), "leave it out for no matte")
+        self._flag("occlusion")
         self._flag("enabled")
 
     def _error(self, key: str, wanted: str, came: str, remedy: str = "") -> ShotError:

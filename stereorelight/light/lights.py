@@ -26,6 +26,7 @@ Vector = tuple[float, float, float]
 Attenuation = Literal["inverse_square", "linear", "none", "radius"]
 ATTENUATIONS = ("inverse_square", "linear", "none", "radius")
 SPACES = ("camera", "world")
+SHADOWS = ("off", "march", "rays")
 Model = Literal["phong", "ggx", "lambert"]
 MODELS = ("phong", "ggx", "lambert")
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -61,6 +62,9 @@ class Light:
     f0, ior        : what GGX reflects head on, with Schlick's formula (default 0.04); or its index of refraction, with the exact one.
     rim            : strength of a rim, rim_color * (1 - N.V)^rim_power times the light that arrives; part of the specular layer.
     space          : "camera" or "world".
+    shadow         : "off", "march" (through the depth, fast) or "rays" (exact, for finals).
+    shadow_samples : rays to a light with a size, 1 ... 1024.     shadow_density : 1 is a full shadow, 0 none.
+    shadow_bias_m  : metres added to what a ray starts off the surface by, which the depth's own sigma sets; may be negative.
     Raises         : ShotError naming the light, the key, what was wanted, what came, and the remedy.
     """
 
@@ -91,6 +95,10 @@ class Light:
     scatter_mm: float | Vector | None = None
     wrap: float = 0.0
     space: Literal["camera", "world"] = "camera"
+    shadow: Literal["off", "march", "rays"] = "off"
+    shadow_samples: int = 16
+    shadow_density: float = 1.0
+    shadow_bias_m: float = 0.0
 
     def __init_subclass__(cls) -> None:
         LIGHTS[cls.kind] = cls
@@ -131,6 +139,11 @@ class Light:
         self._flag("enabled")
         self._flag("normalised")
         self._word("space", SPACES)
+        self._word("shadow", SHADOWS)
+        if not isinstance(self.shadow_samples, (int, np.integer)) or isinstance(self.shadow_samples, bool) or not 1 <= self.shadow_samples <= 1024:
+            raise self._error("shadow_samples", "must be a whole number in 1 ... 1024", repr(self.shadow_samples))
+        self._number("shadow_density", low=0, high=1)
+        self._number("shadow_bias_m", low=-1, high=1)
         if self.matte is not None and (not isinstance(self.matte, str) or not NAME.fullmatch(self.matte)):
             raise self._error("matte", "must be the name of a matte", repr(self.matte), "leave it out for no matte")
 
@@ -201,6 +214,7 @@ class PointLight(Light):
                   (1 - (d / radius_m)^4)^2, which ends smoothly and exactly at radius_m.  d in metres; nearer than
                   1 cm counts as 1 cm, so that a light on the surface stays finite.
     radius_m    : only with attenuation "radius".
+    shadow_radius_m : of the ball that its shadow is cast from, for soft edges; its light stays that of a point.
     """
 
     kind: ClassVar[str] = "point"
@@ -208,11 +222,13 @@ class PointLight(Light):
     position_m: Vector
     attenuation: Attenuation = "inverse_square"
     radius_m: float | None = None
+    shadow_radius_m: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._place("position_m")
         self._word("attenuation", ATTENUATIONS)
+        self._number("shadow_radius_m", low=0, high=FARTHEST_M)
         if self.attenuation == "radius":
             self._number("radius_m", low=0.02, high=FARTHEST_M, remedy="the distance in metres at which the light ends")
         elif self.radius_m is not None:
@@ -272,6 +288,7 @@ class DirectionalLight(Light):
     azimuth_deg, elevation_deg : where the light comes from; azimuth to the right (+x), elevation up (+y).  0 and 0 is a
                                  light at the camera that shines into the scene.
     aim                        : instead of them, the way that the light travels.
+    shadow_angle_deg           : full angle under which it is seen, for soft edges of its shadow; the sun's is 0.53.
     """
 
     kind: ClassVar[str] = "directional"
@@ -279,9 +296,11 @@ class DirectionalLight(Light):
     azimuth_deg: float | None = None
     elevation_deg: float | None = None
     aim: Vector | None = None
+    shadow_angle_deg: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        self._number("shadow_angle_deg", low=0, high=170)
         for key, reach in (("azimuth_deg", 360.0), ("elevation_deg", 90.0)):
             if getattr(self, key) is not None:
                 if self.aim is not None:

@@ -166,5 +166,7 @@ class FrameJob:
     @cached_property
     def lit(self) -> Lit:
         """Every light's own layers, the relit plate, and what goes with it."""
-        more = {"confidence": self.depth["confidence"]} if self.shot.tables.relight.fade > 0 and "confidence" in self.depth else {}
+        wanted = ["confidence"] if self.shot.tables.relight.fade > 0 else []
+        wanted += ["Z_sigma", "flags"] if self.shot.setup.casts else []
+        more = {name: self.depth[name] for name in wanted if name in self.depth}
         return self.lights.lit(self.pair.number, plate=self.plate, passes={**self.surface, **more}, camera=self.posed_camera)

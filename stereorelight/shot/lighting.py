@@ -38,6 +38,8 @@ from stereorelight.light.subsurface import scatter_layers, scatters
 from stereorelight.shot.points import Points
 from stereorelight.shot.receipt import file_digest
 from stereorelight.shot.setup import Setup
+from stereorelight.shot.shadows import Casting, shadow_layers
+from stereorelight.surface.occlusion import Occlusion
 
 Array = npt.NDArray[Any]
 NEARLY = 0.01  # filters in other packages leave mattes a hair beyond 0 and 1
@@ -50,6 +52,8 @@ class Lit:
     layers : every light's own, the same names on every frame.     beauty : the relit plate, or light alone.
     alpha  : of light alone, else None.                            trust  : what light was faded by, else None.
     groups : sums of layers by the lights' `group`; part of no beauty.
+    shadows : of every light that casts one, apart: `shadow_<name>`, and `shadow_<name>_unknown`, (H, W); part of no beauty.
+    surface : ao and bent, where they are asked for.
     """
 
     layers: dict[str, Float32]
@@ -57,11 +61,14 @@ class Lit:
     alpha: Float32 | None = None
     trust: Float32 | None = None
     groups: dict[str, Float32] = field(default_factory=dict)
+    shadows: dict[str, Float32] = field(default_factory=dict)
+    surface: dict[str, Float32] = field(default_factory=dict)
 
     def passes(self) -> dict[str, Float32]:
         """All of it as passes of a file."""
         more = {"alpha": self.alpha, "matte_trust": self.trust}
-        return {"beauty": self.beauty, **{name: array for name, array in more.items() if array is not None}, **self.layers, **self.groups}
+        told = {name: array for name, array in more.items() if array is not None}
+        return {"beauty": self.beauty, **told, **self.layers, **self.groups, **self.shadows, **self.surface}
 
 
 def matte_channel(path: Path, channel: str | None) -> Float32:
@@ -248,6 +255,7 @@ class Lighting:
         plate: Float32,
         mattes: Mapping[str, Float32],
         camera: Camera | None,
+        seen: Occlusion | None,
     ) -> dict[str, Float32]:
         """The layers of light from all around."""
         if self.setup.relight.mode == "multiply" and around.refraction > 0 and around.backdrop == "plate":
@@ -256,7 +264,8 @@ class Lighting:
             )
         try:
             found = self._map(around, number) if around.file is not None and around.needs_map else None
-            return environment_layers(passes["P"], passes["N"], albedo, found, around, camera=camera, plate=plate, mattes=mattes)
+            open_ = {} if seen is None or not around.occlusion else {"ao": seen.ao, "bent": seen.bent}
+            return environment_layers(passes["P"], passes["N"], albedo, found, around, camera=camera, plate=plate, mattes=mattes, **open_)
         except (PassError, ShotError) as error:
             raise type(error)(f"{self.setup.path}: {error}") from None
 
@@ -292,15 +301,25 @@ class Lighting:
         albedo = np.ones_like(plate) if knobs.mode == "multiply" else plate
         materials = self.setup.materials_at(number)
         paints = self.setup.painted_at(number)
+        casting = Casting(shadows=self.setup.shadows, passes=passes, camera=camera, mattes=mattes)
         own, shining = ({light.name for light in found(number)} for found in (self.setup.own_at, self.setup.shining_at))
+
+        try:
+            thrown = {light.name: casting.cast(light) for light in lights if light.name in shining and light.shadow != "off"}
+            seen = casting.occlusion(self.setup.occlusion) if self.setup.occludes else None
+        except (PassError, ShotError) as error:
+            raise type(error)(f"{self.setup.path}: {error}") from None
+        factors = {name: shadow.factor for name, shadow in thrown.items()}
 
         def lit_by(names: Collection[str], on: Float32) -> dict[str, Float32]:
             some = [light for light in lights if light.name in names]
             # Light that goes through a surface is reckoned on white, and meets the albedo where it comes out.
             soft = [light for light in some if scatters(light, materials)]
-            layers = light_layers(P, N, on, [light for light in some if light not in soft], mattes=mattes, materials=materials, camera=camera)
+            layers = light_layers(
+                P, N, on, [light for light in some if light not in soft], mattes=mattes, materials=materials, camera=camera, shadows=factors
+            )
             if soft:
-                layers |= light_layers(P, N, np.ones_like(on), soft, mattes=mattes, materials=materials, camera=camera)
+                layers |= light_layers(P, N, np.ones_like(on), soft, mattes=mattes, materials=materials, camera=camera, shadows=factors)
             for light in some:
                 layers = self._thrown(layers, light, number, P, camera)
             if soft:
@@ -317,7 +336,7 @@ class Lighting:
         around = self.setup.environment_at(number)
         if around is not None and around.enabled:
             soft_around = scatters(None, materials)
-            made = self._around(around, number, passes, np.ones_like(plate) if soft_around else albedo, plate, mattes, camera)
+            made = self._around(around, number, passes, np.ones_like(plate) if soft_around else albedo, plate, mattes, camera, seen)
             if soft_around and "env_diffuse" in made:
                 made = scatter_layers(made, P, N, (), materials=materials, mattes=mattes)
                 made["env_diffuse"] *= albedo
@@ -347,7 +366,15 @@ class Lighting:
             held += [paint.matte for paint in paints]
             alpha = light_alpha(N, [None if name is None else mattes[name] for name in held], trust=trusted)
         beauty = relight(plate, layers, plate_gain=knobs.plate_gain, mode=knobs.mode)
-        return Lit(layers=layers, beauty=beauty, alpha=alpha, trust=trusted, groups=group_layers(layers, lights))
+        return Lit(
+            layers=layers,
+            beauty=beauty,
+            alpha=alpha,
+            trust=trusted,
+            groups=group_layers(layers, lights),
+            shadows=shadow_layers(self.setup.shadow_names, thrown, (plate.shape[0], plate.shape[1])),
+            surface={} if seen is None else {"ao": seen.ao, "bent": seen.bent},
+        )
 
 
 def lighting_of(

@@ -22,7 +22,7 @@ from stereorelight.footage.clip import PACKED, is_movie
 from stereorelight.footage.colour import ColourSettings, check_colour, checked_display, working_space
 from stereorelight.footage.sequence import frame_range
 from stereorelight.light.lights import Light
-from stereorelight.shot.setup import CameraTable, RelightTable, Setup, checked_setup
+from stereorelight.shot.setup import CameraTable, OcclusionTable, RelightTable, Setup, ShadowsTable, checked_setup
 from stereorelight.stereo.matchers import check_matcher, from_folder
 from stereorelight.stereo.settings import DepthSettings
 
@@ -119,6 +119,8 @@ class ShotTables(Table):
     surface: SurfaceTable = SurfaceTable()
     camera: CameraTable | None = None
     relight: RelightTable = RelightTable()
+    shadows: ShadowsTable = ShadowsTable()
+    occlusion: OcclusionTable | None = None
     lights: list[dict[str, Any]] = []
     mattes: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
@@ -135,6 +137,8 @@ class LightTables(Table):
     painted: list[dict[str, Any]] = []
     camera: CameraTable | None = None
     relight: RelightTable = RelightTable()
+    shadows: ShadowsTable = ShadowsTable()
+    occlusion: OcclusionTable | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -306,7 +310,9 @@ def _checked_colour(path: Path, tables: ShotTables, lines: dict[tuple[str | int,
 
 
 def read_light_file(path: str | Path) -> Setup:
-    """A file of [[lights]], [[mattes]], [[materials]], [environment], [[painted]], [camera] and [relight].  Raises ShotError naming file and line."""
+    """A file of [[lights]], [[mattes]], [[materials]], [environment], [[painted]], [camera], [relight], [shadows] and [occlusion].
+
+    Raises : ShotError naming file and line."""
     path = Path(path)
     tables, lines = _checked_tables(path, LightTables)
     if "lights" not in tables.model_fields_set and tables.environment is None and not tables.painted:
@@ -328,6 +334,8 @@ def _setup(path: Path, tables: LightTables | ShotTables, lines: dict[tuple[str |
         painted=tables.painted,
         camera=tables.camera,
         relight=tables.relight,
+        shadows=tables.shadows,
+        occlusion=tables.occlusion,
         given=given,
     )
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -50,6 +50,27 @@ class RelightTable(BaseModel):
     fade_sigma_deg: float = Field(default=40.0, ge=1, le=180)
 
 
+class ShadowsTable(BaseModel):
+    """What stands where no camera saw: `thickness` "thin", millimetres, or "matte", the subject's, which `matte` names; and outside the frame."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    thickness: Literal["thin", "matte"] | Annotated[float, Field(ge=0, le=1e6)] = "thin"
+    matte: str | None = Field(default=None, min_length=1)
+    outside: Literal["unknown", "open"] = "unknown"
+
+
+class OcclusionTable(BaseModel):
+    """Ambient occlusion and bent normals."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    enabled: bool = True
+    radius_m: float = Field(default=0.5, gt=0, le=1e6)
+    falloff: float = Field(default=1.0, ge=0, le=10)
+    samples: int = Field(default=16, ge=1, le=1024)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Setup:
     """What lights.
@@ -68,6 +89,8 @@ class Setup:
     painted: tuple[Moving, ...] = ()
     camera: CameraTable | None = None
     relight: RelightTable = field(default_factory=RelightTable)
+    shadows: ShadowsTable = field(default_factory=ShadowsTable)
+    occlusion: OcclusionTable | None = None
 
     def resolved(self, text: str) -> Path:
         """`text` as a path from the file's folder."""
@@ -76,6 +99,29 @@ class Setup:
     def with_relight(self, **knobs: Any) -> Setup:
         """The same with these keys of [relight]."""
         return replace(self, relight=RelightTable(**(self.relight.model_dump() | knobs)))
+
+    @cached_property
+    def shadow_names(self) -> list[str]:
+        """The lights that cast a shadow on any frame, so that every frame has its layers."""
+        made = []
+        for track in self.lights:
+            casting = [light for frame in track.moving.key_frames() if (light := track.at(frame)).enabled and light.shadow != "off"]
+            made += [track.name] if casting else []
+        return made
+
+    @property
+    def casts(self) -> bool:
+        """Whether any frame needs the surface as what casts shadows."""
+        return bool(self.shadow_names) or self.occludes
+
+    @property
+    def occludes(self) -> bool:
+        """Whether ambient occlusion is asked for: by [occlusion], or by the environment on any frame, so that all frames have its passes."""
+        if self.occlusion is not None and self.occlusion.enabled:
+            return True
+        return self.environment is not None and any(
+            found.enabled and found.occlusion for at in self.environment.key_frames() if (found := self.environment_at(at))
+        )
 
     @cached_property
     def layer_names(self) -> list[str]:
@@ -139,6 +185,8 @@ class Setup:
             "painted": [dict(moving.table) for moving in self.painted],
             "camera": None if self.camera is None else self.camera.model_dump(),
             "relight": self.relight.model_dump(),
+            "shadows": self.shadows.model_dump(),
+            "occlusion": None if self.occlusion is None else self.occlusion.model_dump(),
         }
 
 
@@ -163,6 +211,8 @@ def checked_setup(
     painted: Sequence[Mapping[str, Any]] = (),
     camera: CameraTable | None = None,
     relight: RelightTable | None = None,
+    shadows: ShadowsTable | None = None,
+    occlusion: OcclusionTable | None = None,
     given: Sequence[str] | None = (),
 ) -> Setup:
     """The setup that a file's tables say, each checked at every key.
@@ -193,8 +243,11 @@ def checked_setup(
             painted=tuple(paints),
             camera=camera,
             relight=knobs,
+            shadows=shadows or ShadowsTable(),
+            occlusion=occlusion,
         )
         setup.materials_at(None)
+        check_shadow_names(setup.shadow_names)
         if given is not None:
             checked_mattes(setup.mattes_at(None), given)
     except StereoRelightError as error:
@@ -209,10 +262,20 @@ def checked_setup(
         for index, moving in enumerate(paints):
             worn = [painted_from_dict(moving.at(frame), moving.label).matte for frame in moving.key_frames()]
             _told(where, "painted", index, moving.table, lambda worn=worn, moving=moving: known_mattes(worn, known, moving.label))  # type: ignore[misc]
+        if setup.shadows.matte is not None:
+            told = setup.shadows.model_dump()
+            _told(where, "shadows", None, told, lambda: known_mattes([setup.shadows.matte], known, "[shadows]"))
         if around is not None:
             names = [found.matte for frame in around.key_frames() if (found := setup.environment_at(frame))]
             _told(where, "environment", None, around.table, lambda: known_mattes(names, known, "environment"))
     return setup
+
+
+def check_shadow_names(names: Sequence[str]) -> None:
+    """Raises ShotError where two lights' shadow layers would share a name."""
+    for name in names:
+        if f"{name}_unknown" in names:
+            raise ShotError(f"lights {name!r} and {name}_unknown: both would write the layer shadow_{name}_unknown; rename one of them")
 
 
 def _matte_over(table: Mapping[str, Any], index: int) -> Moving:

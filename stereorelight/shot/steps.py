@@ -164,7 +164,10 @@ STEPS: tuple[Step, ...] = (
     Step(
         name="relight",
         after=("passes",),
-        rooms=("light", "comp.py", "footage", "engine", "interchange", "stereo/carry.py", "shot/job.py", "shot/lighting.py", "shot/points.py"),
+        rooms=(
+            *("light", "surface", "comp.py", "footage", "engine", "interchange", "stereo/carry.py"),
+            *("shot/job.py", "shot/lighting.py", "shot/shadows.py", "shot/points.py"),
+        ),
         settings=lambda shot: [shot.setup.tables(), shot.tables.output.colour],
         inputs=lambda job: job.lights.key(job.pair.number),
         files=lambda job: [job.relit_path],

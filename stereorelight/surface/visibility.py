@@ -52,6 +52,7 @@ class ShadowScene:
     Z_sigma     : (H, W) metres, standard deviation of Z; None for exact depth.
     thickness_m : how far things go on behind what is seen of them; a number or (H, W).
     open        : (H, W) bool: Z is NaN there because nothing is there.
+    outside_open : nothing stands outside the frame that could cast a shadow into it.
     Raises      : PassError where no pixel is known, and for arrays that do not fit.
     """
 
@@ -61,6 +62,7 @@ class ShadowScene:
     Z_sigma: Float32 | None = None
     thickness_m: float | Float32 = 0.0
     open: Bool | None = None
+    outside_open: bool = False
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -206,7 +208,7 @@ class ShadowScene:
         marched = self._marched(emitter, lift, where, count if method == "march" else min(count, 4), steps)
         lit = marched.lit if method == "march" else self._traced(emitter, lift, where, count)
         if count > 1:
-            lit, unknown = (self._evened(a) for a in (lit, marched.unknown))
+            lit, unknown = np.moveaxis(self.evened(np.stack([lit, marched.unknown], axis=-1)), -1, 0)
         else:
             unknown = marched.unknown
         return Shadow(lit=lit, unknown=np.minimum(unknown, lit))
@@ -222,7 +224,7 @@ class ShadowScene:
             offsets[:] = 0
         lit, unknown = march(
             self.P, self.N, lift, self.halves, asked, grid, reach, pinhole, march_row(emitter), offsets,
-            nearest=float(np.quantile(known, 0.995)), thickness_m=thickness, steps=steps,
+            nearest=0.0 if self.outside_open else float(np.quantile(known, 0.995)), thickness_m=thickness, steps=steps,
         )  # fmt: skip
         return Shadow(lit=lit, unknown=unknown)
 
@@ -233,7 +235,7 @@ class ShadowScene:
         N, P = self.N.reshape(-1, 3), self.P.reshape(-1, 3)
         with np.errstate(invalid="ignore"):
             pixels = np.flatnonzero((asked.reshape(-1) > 0) & (np.isfinite(P + N).all(axis=-1)) & np.isfinite(lift).reshape(-1))
-        kind = ((np.arange(h)[:, None] & 3) * 4 + (np.arange(w)[None] & 3)).reshape(-1)
+        kind = kinds((h, w)).reshape(-1)
         axis = np.array(emitter.towards)
         for first in range(0, len(pixels), RAYS_AT_ONCE):
             at = pixels[first : first + RAYS_AT_ONCE]
@@ -253,9 +255,18 @@ class ShadowScene:
             lit[at] = np.divide(shone, total, out=np.zeros_like(shone), where=total > 0)
         return lit.reshape(h, w)
 
-    def _evened(self, values: Float32) -> Float32:
-        """The 4 x 4 kinds of pixel taken together, over neighbours on one surface alone."""
-        return values
+    def evened(self, values: Float32) -> Float32:
+        """(H, W, C) with the 4 x 4 kinds of pixel taken together, over neighbours on one surface alone."""
+        from stereorelight.engine.evening import evened
+
+        return evened(np.ascontiguousarray(values, dtype=np.float32), self.P, self.N, min(self.camera.fx, self.camera.fy))
+
+
+def kinds(size_hw: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """(H, W) which of the 16 patterns each pixel takes; the same in every frame."""
+    h, w = size_hw
+    found: npt.NDArray[np.int64] = (np.arange(h)[:, None] & 3) * 4 + (np.arange(w)[None] & 3)
+    return found
 
 
 def spread_pattern(samples: int) -> Float64:
