@@ -64,15 +64,18 @@ class CastShadow:
     unknown: Float32
 
 
-def cast(light: Light, scene: ShadowScene, *, method: Method | None = None, matte: npt.ArrayLike | None = None) -> CastShadow:
+def cast(
+    light: Light, scene: ShadowScene, *, method: Method | None = None, samples: int | None = None, matte: npt.ArrayLike | None = None
+) -> CastShadow:
     """The shadow of `light` on the surface, by the light's own keys.
 
-    method : instead of the light's own.     matte : (H, W) of the light; no rays are sent where it is 0.
+    method, samples : instead of the light's own; a light whose shadow is off is cast by rays.
+    matte : (H, W) of the light; no rays are sent where it is 0.
     """
     placed = in_camera(light, scene.camera.world_from_camera)
     how: Method = method or ("march" if light.shadow == "march" else "rays")
     asked = _asked(placed, scene, matte)
-    found = scene.shadow(emitter_of(placed), method=how, samples=light.shadow_samples, bias_m=light.shadow_bias_m, asked=asked)
+    found = scene.shadow(emitter_of(placed), method=how, samples=samples or light.shadow_samples, bias_m=light.shadow_bias_m, asked=asked)
     lit = found.lit if asked is None else np.where(asked > 0, found.lit, np.float32(1))
     lit = 1 - np.float32(light.shadow_density) * (1 - lit)
     # Beyond the terminator, wrapped light has no shadow but its own falling off.
