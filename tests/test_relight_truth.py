@@ -1,0 +1,120 @@
+"""The question a supervisor asks: does the relit plate look as it would have, had the light been there?  Small: the bust at 240 x 135."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from stereorelight.compare.edges import grown
+from stereorelight.compare.picture import light_figures
+from stereorelight.errors import ShotError
+from stereorelight.light.lights import DirectionalLight, Light, PointLight, RectLight, SphereLight, SpotLight
+from stereorelight.shot.relight_truth import Parts, added_light, cast_shares, error_split, true_light
+from stereorelight.synth.relit import RelightTruth, relight_truth
+from stereorelight.synth.render import Shot, render
+from stereorelight.synth.rigs import parallel_rig
+from stereorelight.synth.scene import Scene
+from stereorelight.synth.scenes import scene_named
+
+SIZE = (240, 135)
+SUBJECT = ("skin", "hair", "shirt", "eye_left", "eye_right")
+LIGHTS: tuple[Light, ...] = (
+    PointLight(name="point", position_m=(0.9, 0.5, -0.7)),
+    DirectionalLight(name="sun", azimuth_deg=-60.0, elevation_deg=20.0, intensity=0.8),
+    SpotLight(name="spot", position_m=(0.8, 0.9, -0.5), aim_m=(0.0, 0.03, -1.45), cone_deg=24.0, penumbra_deg=6.0, intensity=1.5),
+    RectLight(name="area", position_m=(-0.8, 0.3, -0.7), aim_m=(0.0, 0.0, -1.5), size_m=(0.5, 0.5)),
+)
+
+
+@cache
+def bust() -> tuple[Scene, Shot, np.ndarray]:
+    scene = scene_named("bust")
+    dull = tuple(replace(t, material=replace(t.material, specular=0.0)) if t.name == "skin" else t for t in scene.objects)
+    scene = replace(scene, objects=dull, lights=())
+    shot = render(scene, parallel_rig(SIZE), samples=1)
+    names = np.array([*shot.object_names, "none"])[shot.objects["left"]]
+    return scene, shot, np.isin(names, SUBJECT)
+
+
+@cache
+def truth() -> RelightTruth:
+    scene, shot, subject = bust()
+    return relight_truth(scene, shot.rig, [true_light(light) for light in LIGHTS], samples=2, where=grown(subject, 10), places=12)
+
+
+def exact_parts(light: Light, *, shadow: bool) -> Parts:
+    _, shot, _ = bust()
+    shares = {light.name: truth().lights[light.name].share} if shadow else {}
+    return Parts(Z=shot.left["Z"], N=shot.left["N"], albedo=np.nan_to_num(truth().albedo), shadows=shares)
+
+
+@pytest.mark.parametrize("light", LIGHTS, ids=lambda light: light.name)
+def test_exact_passes_relight_as_the_renderer_does(light: Light) -> None:
+    """What is left is sampling at pixel centres, on a head of 25 px."""
+    _, shot, subject = bust()
+    for shadow in (False, True):
+        added = added_light(exact_parts(light, shadow=shadow), shot.rig.left, [light])[light.name]
+        wanted = truth().lights[light.name]
+        found = light_figures(added, wanted.lit if shadow else wanted.open, region=subject)
+        assert found.relative_rms_percent < 2.0, f"shadow {shadow}: {found}"
+        assert found.gain == pytest.approx(1, abs=0.01)
+
+
+def test_our_own_shadow_is_the_renderers() -> None:
+    light = LIGHTS[0]
+    _, shot, subject = bust()
+    shares = cast_shares([light], shot.left["Z"], shot.left["N"], shot.rig.left)
+    true_share = truth().lights[light.name].share
+    assert np.abs(shares[light.name] - true_share)[subject].mean() < 0.05
+    parts = replace(exact_parts(light, shadow=False), shadows=shares)
+    added = added_light(parts, shot.rig.left, [light])[light.name]
+    wanted = truth().lights[light.name].lit
+    with_shadow = light_figures(added, wanted, region=subject).relative_rms_percent
+    without = light_figures(added_light(replace(parts, shadows={}), shot.rig.left, [light])[light.name], wanted, region=subject).relative_rms_percent
+    assert with_shadow < 8 < without
+
+
+def test_the_split_names_the_guilty_part() -> None:
+    """One part is spoiled on purpose: putting it right mends all, and it alone does all the harm."""
+    light = LIGHTS[0]
+    _, shot, subject = bust()
+    exact = exact_parts(light, shadow=True)
+    tilt = np.array([[1, 0, 0], [0, np.cos(0.3), -np.sin(0.3)], [0, np.sin(0.3), np.cos(0.3)]], np.float32)
+    spoiled = {
+        "depth": replace(exact, Z=exact.Z * np.float32(1.1)),
+        "normals": replace(exact, N=exact.N @ tilt.T),
+        "shadow": replace(exact, shadows={light.name: np.ones(exact.Z.shape, np.float32)}),
+        "albedo": replace(exact, albedo=exact.albedo * np.float32(1.2)),
+    }
+    for guilty, parts in spoiled.items():
+        split = error_split(parts, exact, truth().lights[light.name].lit, light, shot.rig.left, region=subject)
+        assert split.found > 3 * split.exact, guilty
+        assert split.mended[guilty] == pytest.approx(split.exact)
+        assert split.alone[guilty] == pytest.approx(split.found)
+        for innocent in set(spoiled) - {guilty}:
+            assert split.mended[innocent] == pytest.approx(split.found)
+            assert split.alone[innocent] == pytest.approx(split.exact)
+    assert error_split(spoiled["albedo"], exact, truth().lights[light.name].lit, light, shot.rig.left, region=subject).found == pytest.approx(
+        20, abs=0.5
+    )
+
+
+def test_truth_is_what_the_plate_gains() -> None:
+    """The plate under one more light, less the plate without it, is the layer's truth."""
+    scene, shot, subject = bust()
+    lights = [true_light(light) for light in LIGHTS[:2]]
+    with_it = render(scene, shot.rig, lights=lights, samples=2).left["plate"]
+    without = render(scene, shot.rig, lights=lights[:1], samples=2).left["plate"]
+    np.testing.assert_allclose((with_it - without)[subject], truth().lights["sun"].lit[subject], atol=1e-6)
+
+
+def test_lights_without_an_exact_render_are_refused() -> None:
+    with pytest.raises(ShotError, match="has no exact render"):
+        true_light(SphereLight(name="ball", position_m=(0, 0, -1), radius_m=0.1))
+    with pytest.raises(ShotError, match="has no exact render"):
+        true_light(PointLight(name="a", position_m=(0, 0, -1), attenuation="none"))
+    with pytest.raises(ShotError, match="part 'depths' is unknown"):
+        exact_parts(LIGHTS[0], shadow=False).with_part("depths", exact_parts(LIGHTS[0], shadow=False))
