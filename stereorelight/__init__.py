@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from stereorelight.light.lights import lights_from_dicts as lights_from_dicts
     from stereorelight.light.shade import light_layers as light_layers
     from stereorelight.light.shade import relight_fused as relight_fused
+    from stereorelight.light.shade import relight_with_layers as relight_with_layers
     from stereorelight.passes import Flag as Flag
     from stereorelight.passes import Frame as Frame
     from stereorelight.shot.run import run_shot as run_shot
@@ -62,7 +63,7 @@ _HOMES = {
     "surface.position": ("position_from_depth",),
     "surface.normals": ("normals_from_depth",),
     "light.lights": ("PointLight", "DirectionalLight", "SpotLight", "lights_from_dicts"),
-    "light.shade": ("light_layers", "relight_fused"),
+    "light.shade": ("light_layers", "relight_fused", "relight_with_layers"),
     "comp": ("relight",),
     "shot.schema": ("read_shot", "read_lights"),
     "shot.run": ("run_shot",),

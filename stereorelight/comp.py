@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from stereorelight.arrays import Float32, as_float32
 from stereorelight.engine.gain import checked_gain
+from stereorelight.engine.rows import in_row_blocks
 from stereorelight.errors import PassError, ShotError, nearest_hint
 
 Mode = Literal["add", "multiply", "light_only"]
@@ -41,11 +42,18 @@ def relight(plate: npt.ArrayLike, layers: Mapping[str, npt.ArrayLike], *, plate_
         beauty = base.copy() if gain == (1.0, 1.0, 1.0) else base * np.array(gain, np.float32)
     else:
         beauty = np.zeros_like(base)
-    for name in sorted(layers):
-        beauty += as_float32(layers[name], name, channels=3, size_hw=size_hw)
-    if mode == "multiply":
-        beauty += np.array(gain, np.float32)
-        beauty *= base
+    added = [as_float32(layers[name], name, channels=3, size_hw=size_hw) for name in sorted(layers)]
+
+    def run(first: int, end: int) -> None:
+        """Block by block, so that the sum stays in the cache while the layers go by."""
+        part = beauty[first:end]
+        for layer in added:
+            part += layer[first:end]
+        if mode == "multiply":
+            part += np.array(gain, np.float32)
+            part *= base[first:end]
+
+    in_row_blocks(run, size_hw[0])
     return beauty
 
 

@@ -14,7 +14,7 @@ import math
 from stereorelight.engine.fastmath import angle_of_chord, f4, i4, kernel, power_below_one
 
 # As in light_rows.py: this file must change whenever fastmath.py does.
-FASTMATH = "5d949dad28e0aee8"
+FASTMATH = "c1f9e7aebd03d57b"
 NODES = 64  # of the table of a GGX lobe's own albedo, over the square root of N.V
 
 _NEAREST2 = f4(1e-4)  # light_rows.NEAREST_M squared
@@ -32,7 +32,7 @@ def _over_atan(s, s2):
     return s * s2 * p
 
 
-@kernel()
+@kernel(noalias=True)
 def any_of(m, row):
     found = f4(0)
     for i in range(m):
@@ -40,13 +40,13 @@ def any_of(m, row):
     return found > f4(0)
 
 
-@kernel()
+@kernel(noalias=True)
 def through_cover(m, cover, lit):
     for i in range(m):
         lit[i] = lit[i] * cover[i] if cover[i] > f4(0) else f4(0)
 
 
-@kernel()
+@kernel(noalias=True)
 def towards(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, lit, ax, ay, az, e, front):
     """A light without size: the unit vector to it, Lambert, and the strength in front of the surface."""
     for i in range(n):
@@ -70,7 +70,7 @@ def towards(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, lit, a
         front[i] = strength if nl > f4(0) else f4(0)
 
 
-@kernel()
+@kernel(noalias=True)
 def sphere(n, lx, ly, lz, radius, px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax, ay, az, e, front, t2):
     """A ball of light: the exact form factor, cut at the horizon, and the point of it nearest to the mirrored view."""
     radius2 = radius * radius
@@ -192,7 +192,7 @@ def _clipped(a, b, c, h0, ux, uy, uz, hu, wx, wy, wz, hw, half_w, half_h, su, sw
     )
 
 
-@kernel()
+@kernel(noalias=True)
 def rectangle(
     n, lx, ly, lz, mx, my, mz, ux, uy, uz, wx, wy, wz, half_w, half_h, px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax, ay, az, e, front, tx2, ty2
 ):
@@ -271,7 +271,7 @@ def rectangle(
         front[i] = f4(4) * _PI * share / area / (f4(1) + t2) * lit[i] if reaches else f4(0)
 
 
-@kernel()
+@kernel(noalias=True)
 def phong_towards(n, exponent, nx, ny, nz, vx, vy, vz, ax, ay, az, front, sized, tx2, ty2, s):
     """max(0, R.V)^exponent, averaged over the light's disc where it has a size."""
     more = exponent + f4(1)
@@ -292,7 +292,7 @@ def phong_towards(n, exponent, nx, ny, nz, vx, vy, vz, ax, ay, az, front, sized,
             s[i] = s[i] * math.sqrt(x * y) * (f4(1) + math.sqrt(tx2[i] * ty2[i]))
 
 
-@kernel()
+@kernel(noalias=True)
 def ggx_towards(n, alpha2, f0, ior, glow, nx, ny, nz, vx, vy, vz, ax, ay, az, front, sized, tx2, ty2, s):
     """pi D V F N.L, times what bounces between the facets add.
 
@@ -341,7 +341,7 @@ def ggx_towards(n, alpha2, f0, ior, glow, nx, ny, nz, vx, vy, vz, ax, ay, az, fr
             s[i] = s[i] * (k * k) * alpha2 / math.sqrt((alpha2 + tx2[i]) * (alpha2 + ty2[i]))
 
 
-@kernel()
+@kernel(noalias=True)
 def rim(n, power, nx, ny, nz, vx, vy, vz, e, s):
     """(1 - N.V)^power of the diffuse strength."""
     for i in range(n):
@@ -349,7 +349,7 @@ def rim(n, power, nx, ny, nz, vx, vy, vz, e, s):
         s[i] = e[i] * power_below_one(nv if nv > f4(0) else f4(0), power)
 
 
-@kernel(fastmath=False)  # fused multiply and add in whole vectors alone would give the last pixels of a row other bits
+@kernel(fastmath=False, noalias=True)  # fused multiply and add in whole vectors alone would give the last pixels of a row other bits
 def add_diffuse(m, e, red, green, blue, albedo, out):
     """light_rows.write_diffuse on top of what is there."""
     for i in range(m):
@@ -362,7 +362,7 @@ def add_diffuse(m, e, red, green, blue, albedo, out):
         out[3 * i + 2] += b * k * blue if abs(b) < f4(1e30) else f4(0)
 
 
-@kernel(fastmath=False)  # fused multiply and add in whole vectors alone would give the last pixels of a row other bits
+@kernel(fastmath=False, noalias=True)  # fused multiply and add in whole vectors alone would give the last pixels of a row other bits
 def add_specular(m, s, red, green, blue, out):
     for i in range(m):
         out[3 * i] += s[i] * red

@@ -13,7 +13,7 @@ from stereorelight.engine.fastmath import f4, floor, i4, kernel
 
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever these two do;
 # tests/test_light_environment.py holds them together.
-FASTMATH = "5d949dad28e0aee8"
+FASTMATH = "c1f9e7aebd03d57b"
 VECTOR4 = "dcc64f8d6e04ddfd"
 
 _FARTHEST2 = f4(1e30)  # square of what no scene reaches; beyond it, and NaN, is missing

@@ -9,6 +9,7 @@ Pixels without P or N get exactly 0 light."""
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,21 +49,23 @@ PHONG, GGX = 0, 1  # MODEL
 MOST_SQUARED = 128  # whole exponents up to here are raised by squaring; beyond, rounding would add up to 1e-5
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever light_rows.py does;
 # tests/test_light_layers.py holds the two together.
-LEAVES = "a3052093c420e9c8"
-AREA_LEAVES = "cb9853d95500faab"
+LEAVES = "1141c4474fbdefbd"
+AREA_LEAVES = "258cefa685ce760a"
 STRIP = 2048  # its rows stay in the second-level cache
+ROWS = 26  # of the strip, see _rows
 PADDING = 80  # rows a whole page apart would fall onto the same cache lines
 VECTOR = 64  # whole vectors, unrolled, on any machine of today
 
 
 @kernel()
 def _rows(
-    first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, glows, layers, plate, gain, beauty, to_beauty,
+    T, first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, glows, layers, plate, gain, beauty, to_beauty,
     own_albedo,
 ):  # fmt: skip
-    """Rows first..end.  P, N, albedo, plate, beauty are (H, 3 W); rays (H, 2 W); layers (slots, H, 3 W); mattes (k, H, W)."""
+    """Rows first..end.  P, N, albedo, plate, beauty are (H, 3 W); rays (H, 2 W); layers (slots, H, 3 W); mattes (k, H, W).
+
+    T : (ROWS, STRIP + PADDING), room for one strip's rows."""
     W = N.shape[1] // 3
-    T = np.empty((26, STRIP + PADDING), np.float32)
     h, front = T[19], T[20]
     ax_, ay_, az_, tx2, ty2 = T[21], T[22], T[23], T[24], T[25]
     alone = to_beauty and own_albedo and lights.shape[0] == 1 and lights[0, RIM] + lights[0, RIM + 1] + lights[0, RIM + 2] == f4(0)
@@ -247,9 +250,13 @@ def shade(
     gains = np.array(gain, np.float32)
     tables = np.zeros((1, area.NODES), np.float32) if glows is None else glows
 
+    room = threading.local()  # fresh pages for every block would cost a tenth of one light
+
     def run(first: int, end: int) -> None:
+        if not hasattr(room, "rows"):
+            room.rows = np.empty((ROWS, STRIP + PADDING), np.float32)
         _rows(
-            first, end, surface.P is not None, surface.rays is not None, P, Z, rays, N, fx, fy, cx, cy, flat_albedo,
+            room.rows, first, end, surface.P is not None, surface.rays is not None, P, Z, rays, N, fx, fy, cx, cy, flat_albedo,
             lights, slots, mattes, tables, flat_layers, flat_plate, gains, flat_beauty, beauty is not None, albedo is plate,
         )  # fmt: skip
 

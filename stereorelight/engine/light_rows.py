@@ -13,7 +13,7 @@ from stereorelight.engine.fastmath import angle_of_chord, f4, i4, kernel, power_
 NEAREST_M = 0.01  # a surface nearer to the light than this is lit as from here, so that nothing is infinite
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever fastmath.py does;
 # tests/test_light_layers.py holds the two together.
-FASTMATH = "5d949dad28e0aee8"
+FASTMATH = "c1f9e7aebd03d57b"
 
 _NEAREST2 = f4(NEAREST_M**2)
 _FARTHEST2 = f4(1e30)  # square of what no scene reaches; beyond it, and NaN, is missing
@@ -38,7 +38,7 @@ def put_surface(i, x, y, z, a, b, c, px, py, pz, nx, ny, nz, vx, vy, vz, known):
     known[i] = f4(1) if good else f4(0)
 
 
-@kernel()
+@kernel(noalias=True)
 def surface_by_pinhole(n, first, cx, per_fx, slope_y, Z, N, px, py, pz, nx, ny, nz, vx, vy, vz, known):
     """P = (x Z, -y Z, -Z); anything but a positive Z becomes the origin, which is no place for a surface."""
     for i in range(n):
@@ -47,32 +47,32 @@ def surface_by_pinhole(n, first, cx, per_fx, slope_y, Z, N, px, py, pz, nx, ny, 
         put_surface(i, x, -slope_y * d, -d, N[3 * i], N[3 * i + 1], N[3 * i + 2], px, py, pz, nx, ny, nz, vx, vy, vz, known)
 
 
-@kernel()
+@kernel(noalias=True)
 def surface_by_rays(n, rays, Z, N, px, py, pz, nx, ny, nz, vx, vy, vz, known):
     for i in range(n):
         d = Z[i] if Z[i] > f4(0) else f4(0)
         put_surface(i, rays[2 * i] * d, -rays[2 * i + 1] * d, -d, N[3 * i], N[3 * i + 1], N[3 * i + 2], px, py, pz, nx, ny, nz, vx, vy, vz, known)
 
 
-@kernel()
+@kernel(noalias=True)
 def surface_by_position(n, P, N, px, py, pz, nx, ny, nz, vx, vy, vz, known):
     for i in range(n):
         put_surface(i, P[3 * i], P[3 * i + 1], P[3 * i + 2], N[3 * i], N[3 * i + 1], N[3 * i + 2], px, py, pz, nx, ny, nz, vx, vy, vz, known)
 
 
-@kernel()
+@kernel(noalias=True)
 def copy(n, source, target):
     for i in range(n):
         target[i] = source[i]
 
 
-@kernel()
+@kernel(noalias=True)
 def through_matte(m, known, matte, lit):
     for i in range(m):
         lit[i] = known[i] * matte[i] if matte[i] > f4(0) else f4(0)
 
 
-@kernel()
+@kernel(noalias=True)
 def through_window(n, lx, ly, lz, per_radius4, px, py, pz, lit):
     """(1 - d^4 / radius^4)^2, 0 beyond the radius."""
     for i in range(n):
@@ -85,7 +85,7 @@ def through_window(n, lx, ly, lz, per_radius4, px, py, pz, lit):
         lit[i] = lit[i] * (t * t)
 
 
-@kernel()
+@kernel(noalias=True)
 def through_cone(n, lx, ly, lz, ex, ey, ez, edge, per_angle, px, py, pz, lit):
     """Smoothstep of the angle off the axis.  The angle comes from the chord |L + axis|, which keeps narrow cones exact."""
     for i in range(n):
@@ -104,7 +104,7 @@ def through_cone(n, lx, ly, lz, ex, ey, ez, edge, per_angle, px, py, pz, lit):
         lit[i] = lit[i] * (t * t * (f4(3) - f4(2) * t))
 
 
-@kernel()
+@kernel(noalias=True)
 def lambert(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, lit, e):
     for i in range(n):
         a = lx - w * px[i]
@@ -119,7 +119,7 @@ def lambert(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, lit, e
         e[i] = k * (a0 + r * (a1 + r * a2)) * lit[i]
 
 
-@kernel()
+@kernel(noalias=True)
 def phong(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, vx, vy, vz, lit, e, h, front):
     """Lambert, and for the highlight 1 - R.V and the strength in front of the surface.
 
@@ -147,14 +147,14 @@ def phong(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, vx, vy, 
         h[i] = f4(0.5) * (a * a + b * b + c * c)
 
 
-@kernel()
+@kernel(noalias=True)
 def lobe(n, exponent, h, front, s):
     """max(0, R.V)^exponent for any exponent."""
     for i in range(n):
         s[i] = power_below_one(h[i], exponent) * front[i]
 
 
-@kernel()
+@kernel(noalias=True)
 def lobe_whole(n, exponent, least, h, front, s):
     """The same for a whole exponent by squaring, a third of the work; h is used up.
 
@@ -184,7 +184,7 @@ def lobe_whole(n, exponent, least, h, front, s):
         s[i] = s[i] * front[i]
 
 
-@kernel()
+@kernel(noalias=True)
 def put(n, e, red, green, blue, r, g, b):
     for i in range(n):
         r[i] = e[i] * red
@@ -192,7 +192,7 @@ def put(n, e, red, green, blue, r, g, b):
         b[i] = e[i] * blue
 
 
-@kernel()
+@kernel(noalias=True)
 def add(n, e, red, green, blue, r, g, b):
     for i in range(n):
         r[i] += e[i] * red
@@ -200,7 +200,7 @@ def add(n, e, red, green, blue, r, g, b):
         b[i] += e[i] * blue
 
 
-@kernel()
+@kernel(noalias=True)
 def write_diffuse(m, e, red, green, blue, albedo, out):
     for i in range(m):
         k = e[i]
@@ -213,7 +213,7 @@ def write_diffuse(m, e, red, green, blue, albedo, out):
         out[3 * i + 2] = b * k * blue if abs(b) < f4(1e30) else f4(0)
 
 
-@kernel()
+@kernel(noalias=True)
 def write_specular(m, s, red, green, blue, out):
     for i in range(m):
         out[3 * i] = s[i] * red
@@ -221,7 +221,7 @@ def write_specular(m, s, red, green, blue, out):
         out[3 * i + 2] = s[i] * blue
 
 
-@kernel()
+@kernel(noalias=True)
 def write_beauty(m, plate, albedo, gain_r, gain_g, gain_b, dr, dg, db, sr, sg, sb, out):
     for i in range(m):
         r = albedo[3 * i]
@@ -235,7 +235,7 @@ def write_beauty(m, plate, albedo, gain_r, gain_g, gain_b, dr, dg, db, sr, sg, s
         out[3 * i + 2] = plate[3 * i + 2] * gain_b + (b + sb[i])
 
 
-@kernel()
+@kernel(noalias=True)
 def write_relit_plate(m, plate, gain_r, gain_g, gain_b, dr, dg, db, sr, sg, sb, out):
     """`write_beauty` where the plate is its own albedo: one picture less to read."""
     for i in range(m):
@@ -250,7 +250,7 @@ def write_relit_plate(m, plate, gain_r, gain_g, gain_b, dr, dg, db, sr, sg, sb, 
         out[3 * i + 2] = b * gain_b + (lit_b + sb[i])
 
 
-@kernel()
+@kernel(noalias=True)
 def write_one_light(m, plate, gain_r, gain_g, gain_b, e, dr, dg, db, s, sr, sg, sb, out):
     """`write_relit_plate` for a single light, straight from its strengths: a dozen strips less to write and read."""
     for i in range(m):
@@ -267,7 +267,7 @@ def write_one_light(m, plate, gain_r, gain_g, gain_b, e, dr, dg, db, s, sr, sg, 
         out[3 * i + 2] = b * gain_b + (lit_b + k * sb)
 
 
-@kernel()
+@kernel(noalias=True)
 def padded(source, room):
     """The last few values of a row at the head of `room`, which is longer; what stands behind them does not matter."""
     for i in range(source.shape[0]):

@@ -54,15 +54,7 @@ def light_layers(
     P_ = as_float32(P, "P", channels=3, size_hw=size_hw)
     albedo_ = as_float32(albedo, "albedo", channels=3, size_hw=size_hw)
     shining = _shining(lights, camera)
-    names: list[str] = []
-    slots: list[tuple[int, int]] = []
-    for light in shining:
-        specular = -1
-        names.append(f"light_{light.name}_diffuse")
-        if light.shines or any(material.under(light).shines for material in materials):
-            specular = len(names)
-            names.append(f"light_{light.name}_specular")
-        slots.append((names.index(f"light_{light.name}_diffuse"), specular))
+    names, slots = _layers_of(shining, materials)
     layers = np.empty((len(names), *size_hw, 3), np.float32)
     if shining:
         rows = _rows(shining, materials, mattes or {}, size_hw, slots, shadows or {})
@@ -83,6 +75,7 @@ def relight_fused(
     materials: Sequence[Material] = (),
     rays: npt.ArrayLike | None = None,
     shadows: Mapping[str, npt.ArrayLike] | None = None,
+    out: Float32 | None = None,
 ) -> Float32:
     """The relit plate in one pass, without P or layers in memory: the same as `light_layers` and `comp.relight`, to float precision.
 
@@ -91,26 +84,89 @@ def relight_fused(
     plate_gain : one number or three, >= 0.
     rays       : (H, W, 2), `camera.ray_grid()`, for a lens that bends: give it where many frames share a camera; worked out where None.
     shadows    : as in `light_layers`.
+    out        : (H, W, 3) float32, C-contiguous and none of the inputs, to write into and return: a fresh picture costs a third of a light.
     Returns    : (H, W, 3) float32: plate * plate_gain + light.  No lights and gain 1 return the plate bit for bit.
     """
+    if out is not None:
+        if out.dtype != np.float32 or not out.flags.c_contiguous or out.shape != (*camera.size_hw, 3):
+            raise PassError(f"out must be C-contiguous float32 of shape {(*camera.size_hw, 3)}, got {out.dtype} {out.shape}")
+        if any(np.may_share_memory(out, given) for given in (plate, Z, N, albedo, rays) if isinstance(given, np.ndarray)):
+            raise PassError("out must not be one of the inputs; give an array of its own")
+    beauty, _ = _fused(plate, Z, N, camera, lights, albedo, plate_gain, mattes, materials, rays, shadows, out=out, with_layers=False)
+    return beauty
+
+
+def relight_with_layers(
+    plate: npt.ArrayLike,
+    Z: npt.ArrayLike,
+    N: npt.ArrayLike,
+    camera: Camera,
+    lights: Sequence[Light],
+    *,
+    albedo: npt.ArrayLike | None = None,
+    plate_gain: float | Sequence[float] = 1.0,
+    mattes: Mapping[str, npt.ArrayLike] | None = None,
+    materials: Sequence[Material] = (),
+    rays: npt.ArrayLike | None = None,
+    shadows: Mapping[str, npt.ArrayLike] | None = None,
+) -> tuple[Float32, dict[str, Float32]]:
+    """The relit plate and every layer from one pass over the picture: what `relight_fused` and `light_layers` give, for the cost of the
+    first and of writing the second.  Arguments as in `relight_fused`; the layers add up to the picture to float precision.
+    """
+    return _fused(plate, Z, N, camera, lights, albedo, plate_gain, mattes, materials, rays, shadows, out=None, with_layers=True)
+
+
+def _fused(
+    plate: npt.ArrayLike,
+    Z: npt.ArrayLike,
+    N: npt.ArrayLike,
+    camera: Camera,
+    lights: Sequence[Light],
+    albedo: npt.ArrayLike | None,
+    plate_gain: float | Sequence[float],
+    mattes: Mapping[str, npt.ArrayLike] | None,
+    materials: Sequence[Material],
+    rays: npt.ArrayLike | None,
+    shadows: Mapping[str, npt.ArrayLike] | None,
+    *,
+    out: Float32 | None,
+    with_layers: bool,
+) -> tuple[Float32, dict[str, Float32]]:
     from stereorelight.engine import light as engine
 
     plate_ = as_float32(plate, "plate", channels=3, size_hw=camera.size_hw)
     gain = checked_gain(plate_gain)
     shining = _shining(lights, camera)
+    beauty = np.empty_like(plate_) if out is None else out
     if not shining and gain == (1.0, 1.0, 1.0):
-        return plate_.copy()
+        beauty[:] = plate_
+        return beauty, {}
     Z_ = as_float32(Z, "Z", size_hw=camera.size_hw)
     N_ = as_float32(N, "N", channels=3, size_hw=camera.size_hw)
     albedo_ = plate_ if albedo is None else as_float32(albedo, "albedo", channels=3, size_hw=camera.size_hw)
     rays_ = None if rays is None else as_float32(rays, "rays", channels=2, size_hw=camera.size_hw)
     if camera.distorts and rays_ is None:
         rays_ = camera.ray_grid()
-    rows = _rows(shining, materials, mattes or {}, camera.size_hw, [(-1, -1)] * len(shining), shadows or {})
+    names, slots = _layers_of(shining, materials) if with_layers else ([], [(-1, -1)] * len(shining))
+    rows = _rows(shining, materials, mattes or {}, camera.size_hw, slots, shadows or {})
     surface = engine.Surface(Z=Z_, N=N_, rays=rays_, pinhole=(camera.fx, camera.fy, camera.cx, camera.cy))
-    beauty = np.empty_like(plate_)
-    engine.shade(surface, albedo_, rows.table, rows.slots, rows.mattes, glows=rows.glows, plate=plate_, gain=gain, beauty=beauty)
-    return beauty
+    layers = np.empty((len(names), *plate_.shape), np.float32) if names else None
+    engine.shade(surface, albedo_, rows.table, rows.slots, rows.mattes, glows=rows.glows, layers=layers, plate=plate_, gain=gain, beauty=beauty)
+    return beauty, {} if layers is None else dict(zip(names, layers))
+
+
+def _layers_of(shining: Sequence[Light], materials: Sequence[Material]) -> tuple[list[str], list[tuple[int, int]]]:
+    """The names of the lights' layers, and for each light the places of its two among them, -1 for none."""
+    names: list[str] = []
+    slots: list[tuple[int, int]] = []
+    for light in shining:
+        specular = -1
+        names.append(f"light_{light.name}_diffuse")
+        if light.shines or any(material.under(light).shines for material in materials):
+            specular = len(names)
+            names.append(f"light_{light.name}_specular")
+        slots.append((len(names) - 1 - (specular >= 0), specular))
+    return names, slots
 
 
 def _shining(lights: Sequence[Light], camera: Camera | None) -> list[Light]:

@@ -22,10 +22,22 @@ static inline float exp2_of(float x) {
   return p * u.f;
 }
 
+// x^(2^k ...) by squaring, for a whole exponent that is the same for all pixels.
+static inline float squared_up(float x, int n) {
+  float p = 1.f;
+  while (n) {
+    if (n & 1) p *= x;
+    x *= x;
+    n >>= 1;
+  }
+  return p;
+}
+
 // Lights: 12 floats each: place x y z (scene frame), w (1 place, 0 direction); spot axis x y z, scale, offset; r g b.
 void relight(const float *restrict Z, const float *restrict N, const float *restrict A, float *restrict O, int H, int W, const float *L, int lights,
              float fx, float fy, float cx, float cy, float ks, float exponent) {
   const float per_fx = 1.f / fx, per_fy = 1.f / fy;
+  const int whole = exponent == (int)exponent && exponent <= 128 ? (int)exponent : 0;
 #pragma omp parallel for schedule(dynamic, 8)
   for (int y = 0; y < H; y++) {
     float px[WIDEST], py[WIDEST], pz[WIDEST], nx[WIDEST], ny[WIDEST], nz[WIDEST], vx[WIDEST], vy[WIDEST], vz[WIDEST];
@@ -43,20 +55,23 @@ void relight(const float *restrict Z, const float *restrict N, const float *rest
     for (int k = 0; k < lights; k++) {
       const float *l = L + 12 * k;
       const float lx = l[0], ly = l[1], lz = l[2], w = l[3], ex = l[4], ey = l[5], ez = l[6], scale = l[7], offset = l[8], cr = l[9], cg = l[10], cb = l[11];
-#pragma GCC ivdep
-      for (int x = 0; x < W; x++) {
-        float a = lx - w * px[x], b = ly - w * py[x], c = lz - w * pz[x], d2 = a * a + b * b + c * c, r = 1.f / sqrtf(d2);
-        a *= r; b *= r; c *= r;
-        float t = offset - (a * ex + b * ey + c * ez) * scale;
-        t = t < 0 ? 0 : t;
-        t = t > 1 ? 1 : t;
-        float strength = r * r * t * t * (3.f - 2.f * t), nl = nx[x] * a + ny[x] * b + nz[x] * c, front = nl > 0 ? nl : 0.f;
-        float nv = nx[x] * vx[x] + ny[x] * vy[x] + nz[x] * vz[x], rv = 2.f * front * nv - (a * vx[x] + b * vy[x] + c * vz[x]);
-        rv = rv < 1e-20f ? 1e-20f : rv;
-        float s = nl > 0 ? exp2_of(exponent * log2_of(rv)) * strength * ks : 0.f, e = front * strength;
-        dr[x] += e * cr; dg[x] += e * cg; db[x] += e * cb;
-        sr[x] += s * cr; sg[x] += s * cg; sb[x] += s * cb;
+#define LIT(POWER) \
+      _Pragma("GCC ivdep") for (int x = 0; x < W; x++) { \
+        float a = lx - w * px[x], b = ly - w * py[x], c = lz - w * pz[x], d2 = a * a + b * b + c * c, r = 1.f / sqrtf(d2); \
+        a *= r; b *= r; c *= r; \
+        float t = offset - (a * ex + b * ey + c * ez) * scale; \
+        t = t < 0 ? 0 : t; \
+        t = t > 1 ? 1 : t; \
+        float strength = r * r * t * t * (3.f - 2.f * t), nl = nx[x] * a + ny[x] * b + nz[x] * c, front = nl > 0 ? nl : 0.f; \
+        float nv = nx[x] * vx[x] + ny[x] * vy[x] + nz[x] * vz[x], rv = 2.f * front * nv - (a * vx[x] + b * vy[x] + c * vz[x]); \
+        rv = rv < 1e-20f ? 1e-20f : rv; \
+        float s = nl > 0 ? POWER * strength * ks : 0.f, e = front * strength; \
+        dr[x] += e * cr; dg[x] += e * cg; db[x] += e * cb; \
+        sr[x] += s * cr; sg[x] += s * cg; sb[x] += s * cb; \
       }
+      if (whole == 32) { float q; LIT((q = rv * rv, q *= q, q *= q, q *= q, q * q)) }
+      else if (whole) { LIT(squared_up(rv, whole)) }
+      else { LIT(exp2_of(exponent * log2_of(rv))) }
     }
 #pragma GCC ivdep
     for (int x = 0; x < W; x++) {
