@@ -133,16 +133,33 @@ def materials(plate: Float32, joined: Bool) -> Labels:
     return np.ascontiguousarray(small_labels[rows[:, None], columns])
 
 
+def _bells(n: int, sigma: float) -> tuple[Float64, Float64]:
+    """(m, n): Gaussians about m of n places, a third of sigma apart and cut off at three; (n, m): linear between them."""
+    step = max(1, int(sigma / 3))
+    knots = np.arange(0, n + step - 1, step)
+    apart = np.subtract.outer(knots, np.arange(n))
+    bells: Float64 = np.where(np.abs(apart) <= 3 * sigma, np.exp(-0.5 * (apart / sigma) ** 2), 0.0)
+    between: Float64 = np.maximum(1 - np.abs(apart.T) / step, 0.0)
+    return bells, between
+
+
 class _Local:
-    """Takes out what varies slowly within a material: a - (weighted mean of a around it)."""
+    """Takes out what varies slowly within a material: a - (weighted mean of a around it); a (h, w) or (n, h, w)."""
 
     def __init__(self, weight: Float64, sigma: float) -> None:
-        self.weight, self.sigma = weight, sigma
-        self.norm: Float64 = np.asarray(ndimage.gaussian_filter(weight, sigma, mode="constant", truncate=3.0), np.float64) + 1e-9
+        self.weight = weight
+        self.down, self.back_down = _bells(weight.shape[0], sigma)
+        across, back_across = _bells(weight.shape[1], sigma)
+        self.across, self.back_across = np.ascontiguousarray(across.T), np.ascontiguousarray(back_across.T)
+        self.norm: Float64 = self._blurred(weight) + 1e-9
+
+    def _blurred(self, a: Float64) -> Float64:
+        knots = self.down @ a @ self.across  # on purpose so few and small that no library runs them on threads
+        blurred: Float64 = self.back_down @ knots @ self.back_across
+        return blurred
 
     def __call__(self, a: Float64) -> Float64:
-        slow = ndimage.gaussian_filter(a * self.weight, self.sigma, mode="constant", truncate=3.0) / self.norm
-        rest: Float64 = a - slow
+        rest: Float64 = a - self._blurred(a * self.weight) / self.norm
         return rest
 
 
@@ -165,21 +182,26 @@ def fit_light(
     radius   : of the surroundings whose mean counts for nothing, pixels.
     held_out : blocks that are judged by and not fitted; None judges by what was fitted.
     """
-    B = basis(N)
+    B = np.ascontiguousarray(np.moveaxis(basis(N), -1, 0))
     L = log_grey
     train = weight if held_out is None else weight * ~held_out
     inside = train > 0
     floor = FLOOR * float(np.exp(np.median(L[weight > 0])))
-    c = _start(B[inside], np.exp(L[inside]), train[inside] / np.exp(L[inside])) if start is None else start
+    c = _start(B[:, inside].T, np.exp(L[inside]), train[inside] / np.exp(L[inside])) if start is None else start
     robust = np.ones_like(L)
-    r_all = _Local(train, radius)(L - np.log(np.maximum(B @ c, floor)))
+
+    def shading(c: Float64) -> Float64:
+        raw: Float64 = np.tensordot(c, B, 1)
+        return raw
+
+    r_all = _Local(train, radius)(L - np.log(np.maximum(shading(c), floor)))
     limit = _spread(r_all[inside])
     least = float((train * np.minimum(np.abs(r_all), 3 * limit)).sum())
     for _ in range(ROUNDS):
-        raw = B @ c
+        raw = shading(c)
         S = np.maximum(raw, floor)
         local = _Local(train * robust, radius)
-        J = np.stack([local(B[..., k] / S * (raw > floor)) for k in range(TERMS)], -1)[inside]
+        J = local(B / S * (raw > floor))[:, inside].T
         r = local(L - np.log(S))[inside]
         q = (train * robust)[inside]
         A = (J * q[:, None]).T @ J
@@ -187,7 +209,7 @@ def fit_light(
         damp = np.eye(TERMS) * (RIDGE * np.trace(A) / TERMS + 1e-12)
         step = np.linalg.solve(A + damp, (J * q[:, None]).T @ r)
         for _ in range(HALVINGS):  # a light that goes dark explains nothing and would never come back
-            r_all = local(L - np.log(np.maximum(B @ (c + step), floor)))
+            r_all = local(L - np.log(np.maximum(shading(c + step), floor)))
             cost = float((train * np.minimum(np.abs(r_all), 3 * limit)).sum())
             if cost < least:
                 c, least = c + step, cost
@@ -199,7 +221,7 @@ def fit_light(
         robust = 1 / (1 + (r_all / (2 * limit)) ** 2) ** 2
         least = float((train * np.minimum(np.abs(r_all), 3 * limit)).sum())
     judged = weight > 0 if held_out is None else (weight > 0) & held_out
-    S = np.maximum(B @ c, floor)
+    S = np.maximum(shading(c), floor)
     local = _Local(weight * robust, radius)
     before, after = local(L)[judged], local(L - np.log(S))[judged]
     # By medians: a few pixels beside one corner must not speak for a whole wall.
