@@ -128,6 +128,23 @@ def residual(
     return Z_percent, N_deg
 
 
+def picture_residual(a: Float32, b: Float32, motion: Float32) -> Float32:
+    """(H, W) change of a scene-linear picture (H, W, 3) along the motion, per cent of its mean light, on the first frame's pixels.
+
+    The mean over the channels of the size of the difference; NaN where a pixel is not found again or either picture is unknown.
+    """
+    found = np.isfinite(motion).all(axis=-1)
+    rows, columns, weight = _corners(motion)
+    total = weight.sum(axis=0)
+    weight = weight / np.where(total > 0.5, total, np.nan)
+    out = np.full(a.shape[:2], np.nan, np.float32)
+    known = np.isfinite(a)
+    level = float(np.abs(a[known]).mean()) if known.any() else 0.0
+    if level > 0:
+        out[found] = 100 * np.abs(_read(b, rows, columns, weight) - a[found]).mean(axis=-1) / level
+    return out
+
+
 def _figures(maps: Sequence[Float32], found: Sequence[Bool]) -> Residuals:
     all_of = np.concatenate([m[f] for m, f in zip(maps, found)]) if maps else np.empty(0, np.float32)
     told = all_of[np.isfinite(all_of)].astype(np.float64)

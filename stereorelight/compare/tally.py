@@ -60,7 +60,9 @@ class RegionFigures:
         bad = {f"{prefix}bad{t:g}{'' if self.unit == 'px' else self.unit}": share for t, share in self.bad_percent.items()}
         out = [
             Figure(name="pixels", value=float(self.pixels), table=table, region=region, digits=0),
-            Figure(name=f"{prefix}cover", value=self.cover_percent, unit="%", table=table, region=region, digits=2, high_is_good=True),
+            Figure(
+                name=f"{prefix}cover", value=self.cover_percent, unit="%", table=table, region=region, digits=2, column="cover", high_is_good=True
+            ),
         ]
         for name, share in bad.items():
             column = name.removeprefix(prefix)
