@@ -85,7 +85,7 @@ def _hit(objects, n, primitives, empty, table, ax, ay, az, bx, by, bz, limit, ne
     elif kind == ROD:
         t = _rod(ox, oy, oz, dx, dy, dz, objects[n, 16], objects[n, 17], limit)
     else:
-        near, far = -1e30, 1e30
+        enter, leave = -1e30, 1e30
         for axis in range(3):
             p = ox if axis == 0 else (oy if axis == 1 else oz)
             d = dx if axis == 0 else (dy if axis == 1 else dz)
@@ -95,9 +95,9 @@ def _hit(objects, n, primitives, empty, table, ax, ay, az, bx, by, bz, limit, ne
                     return limit
             else:
                 s1, s2 = (-h - p) / d, (h - p) / d
-                near, far = max(near, min(s1, s2)), min(far, max(s1, s2))
-        if near < far and 0.0 < near < limit:
-            t = near
+                enter, leave = max(enter, min(s1, s2)), min(leave, max(s1, s2))
+        if enter < leave and 0.0 < enter < limit:
+            t = enter
     return t
 
 

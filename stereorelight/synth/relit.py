@@ -14,8 +14,9 @@ import numpy as np
 from stereorelight.arrays import Bool, Float32, Float64
 from stereorelight.camera import Eye, Rig
 from stereorelight.errors import ShotError
+from stereorelight.synth.hits import cast, share_lit, shone
 from stereorelight.synth.lights import Light
-from stereorelight.synth.render import cast, share_lit, shone, world_from_eye
+from stereorelight.synth.render import world_from_eye
 from stereorelight.synth.scene import Scene
 
 PLACES = 8  # of an area light that each ray of a pixel looks at; every ray looks at others

@@ -16,18 +16,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stereorelight.arrays import Bool, Float32, Float64
+from stereorelight.arrays import Float32, Float64
 from stereorelight.camera import Camera, Eye, Rig
-from stereorelight.engine import raycast
 from stereorelight.errors import ShotError
 from stereorelight.passes import Flag, Frame
-from stereorelight.synth.lights import Light, shade
+from stereorelight.synth.bounce import evened, gathered
+from stereorelight.synth.hits import FLIP as FLIP
+from stereorelight.synth.hits import Hits, blocked, cast, share_lit, shone
+from stereorelight.synth.lights import Light
 from stereorelight.synth.rigs import is_rectified, rectified_rig
 from stereorelight.synth.scene import Scene, Tables
 
-FLIP = np.diag([1.0, -1.0, -1.0])  # camera frame <-> scene frame
 AREA_RAYS = 16  # places of an area light that each ray of a plate looks at
-SELF_M = 2e-6  # a ray that ends on a surface must not find that surface; hits are exact to 1e-11 m
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,7 +35,8 @@ class Shot:
     """One frame of a synthetic shot.
 
     left, right : plate, Z, P, N, albedo, flags, and for each light `light_<name>_diffuse`, `light_<name>_specular`
-                  (without shadow) and `matte_lit_<name>` (0 in its shadow); left also `disparity` on a rectified rig.
+                  (without shadow) and `matte_lit_<name>` (0 in its shadow, a share where the light has a size); `light_indirect`
+                  where bounces were asked for; left also `disparity` on a rectified rig.
                   Flags: OUT_OF_VIEW, OCCLUDED: what the other eye cannot see; TOO_FAR: no surface at all.
     objects     : which object stands at each pixel centre, by eye: (H, W) int16 into `object_names`, -1 for none.
     """
@@ -73,75 +74,15 @@ def world_from_eye(rig: Rig, eye: Eye) -> Float64:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Hits:
-    """What a set of rays met, in world coordinates; rows of rays that met nothing are NaN, with object -1."""
-
-    t: Float64
-    object: npt.NDArray[np.int64]
-    points: Float64
-    normals: Float64
-    albedo: Float64
-    specular: Float64
-    views: Float64
-
-
-def cast(tables: Tables, camera: Camera, pose: Float64, pixels: Float64) -> Hits:
-    directions = camera.rays(pixels.reshape(-1, 2)) @ (pose[:3, :3] @ FLIP).T
-    origin = pose[None, :3, 3]
-    t, hit = raycast.first_hits(tables.objects, tables.primitives, origin, directions, empty=tables.empty)
-    points = origin + t[:, None] * directions
-    normals, albedo, specular = raycast.surface_at(tables.objects, tables.primitives, tables.materials, points, hit)
-    views = -directions / np.linalg.norm(directions, axis=-1, keepdims=True)
-    return Hits(t=t, object=hit, points=points, normals=normals, albedo=albedo, specular=specular, views=views)
-
-
-def _blocked(tables: Tables, starts: Float64, points: Float64, asked: Bool) -> Bool:
-    """Whether something stands between `starts` (1 or n, 3) and each of `points`; False where not `asked`."""
-    along = points - starts
-    with np.errstate(invalid="ignore"):
-        limits = np.where(asked, 1.0 - SELF_M / np.linalg.norm(along, axis=-1), 0.0)
-    return raycast.blocked(tables.objects, tables.primitives, starts, along, limits, empty=tables.empty)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Lit:
     picture: Float64
     layers: dict[str, Float64]
 
 
-def shone(
-    tables: Tables, hits: Hits, light: Light, *, shadows: bool = True, places: int = 1, turn: int = 0
-) -> tuple[Float64, Float64, Float64, Float64]:
-    """One light on what rays met: diffuse and specular (n, 3) without its shadow, and both again with it.
-
-    places : from how many places an area light shines; `turn` picks others of them.
-    """
-    met = (hits.object >= 0)[:, None]
-    total = [np.zeros_like(hits.points) for _ in range(4)]
-    spread = light.places(places, turn=turn)
-    for place in spread:
-        one = light.at(place)
-        layers = [np.where(met, a, 0.0) for a in shade(one, hits.points, hits.normals, hits.views, hits.albedo, hits.specular)]
-        lit = layers
-        if shadows:
-            asked = (layers[0] + layers[1]).sum(axis=-1) > 0
-            arrives = (asked & ~_blocked(tables, one.ray_starts(hits.points), hits.points, asked))[:, None]
-            lit = [layer * arrives for layer in layers]
-        for sum_, layer in zip(total, (*layers, *lit)):
-            sum_ += layer / len(spread)
-    return total[0], total[1], total[2], total[3]
-
-
-def share_lit(open_: Float64, lit: Float64) -> Float64:
-    """(n,) the share 0..1 of a light that arrives, from what it is without and with its shadow (n, 3); 0 where there is no light."""
-    whole = open_.sum(axis=-1)
-    return np.divide(lit.sum(axis=-1), whole, out=np.zeros_like(whole), where=whole > 0)
-
-
-def _light(tables: Tables, hits: Hits, lights: Sequence[Light], ambient: tuple[float, float, float], shadows: bool, turn: int = 0) -> _Lit:
-    """The picture (n, 3), and each light's diffuse, specular and share of light that arrives."""
+def _light(tables: Tables, hits: Hits, lights: Sequence[Light], around: Float64, shadows: bool, turn: int = 0) -> _Lit:
+    """The picture (n, 3), and each light's diffuse, specular and share of light that arrives; `around` (3,) or (n, 3) comes from no light."""
     met = hits.object >= 0
-    picture = np.where(met[:, None], hits.albedo * ambient, 0.0)
+    picture = np.where(met[:, None], hits.albedo * around, 0.0)
     layers: dict[str, Float64] = {}
     for light in lights:
         diffuse, shine, lit_diffuse, lit_shine = shone(tables, hits, light, shadows=shadows, places=AREA_RAYS, turn=turn)
@@ -158,27 +99,43 @@ def _unseen(tables: Tables, hits: Hits, camera: Camera, pose: Float64) -> npt.ND
     w, h = camera.size
     with np.errstate(invalid="ignore"):
         inside = (np.abs(seen[:, 0] - (w - 1) / 2) <= w / 2) & (np.abs(seen[:, 1] - (h - 1) / 2) <= h / 2)
-    hidden = _blocked(tables, pose[None, :3, 3], hits.points, met)
+    hidden = blocked(tables, pose[None, :3, 3], hits.points, met)
     flags = np.where(met & ~inside, np.uint16(Flag.OUT_OF_VIEW), np.uint16(0)) | np.where(hidden, np.uint16(Flag.OCCLUDED), np.uint16(0))
     return np.where(met, flags, np.uint16(Flag.TOO_FAR)).astype(np.uint16)
 
 
 def _render_eye(
-    tables: Tables, rig: Rig, eye: Eye, lights: Sequence[Light], ambient: tuple[float, float, float], samples: int, shadows: bool
+    tables: Tables,
+    rig: Rig,
+    other_rig: Rig,
+    eye: Eye,
+    lights: Sequence[Light],
+    ambient: tuple[float, float, float],
+    samples: int,
+    shadows: bool,
+    bounce: int,
 ) -> tuple[dict[str, npt.NDArray[Any]], npt.NDArray[np.int16]]:
     camera, pose = rig.camera(eye), world_from_eye(rig, eye)
     other: Eye = "right" if eye == "left" else "left"
     h, w = camera.size_hw
     grid = camera.pixel_grid()
     hits = cast(tables, camera, pose, grid)
-    truth = _light(tables, hits, lights, ambient, shadows)
+    around = np.array(ambient)
+    indirect = None
+    if bounce:
+        normals, Z = hits.normals.reshape(h, w, 3), hits.t.reshape(h, w)
+        found = gathered(tables, hits.points, hits.normals, lights, ambient, bounce, seed=int(eye == "right"))
+        around = evened(found.reshape(h, w, 3), hits.object.reshape(h, w), normals, Z).reshape(-1, 3)
+        around[hits.object < 0] = ambient
+        indirect = np.where((hits.object >= 0)[:, None], hits.albedo * around, 0.0)
+    truth = _light(tables, hits, lights, around, shadows)
     picture = truth.picture
     if samples > 1:
         picture = np.zeros_like(picture)
         steps = (np.arange(samples) + 0.5) / samples - 0.5
         for turn, (dv, du) in enumerate(itertools.product(steps, steps)):
             inner = cast(tables, camera, pose, grid + (du, dv))
-            picture += _light(tables, inner, lights, ambient, shadows, turn).picture
+            picture += _light(tables, inner, lights, around, shadows, turn).picture
         picture /= samples * samples
 
     def laid_out(values: Float64) -> Float32:
@@ -190,15 +147,26 @@ def _render_eye(
         "P": laid_out((hits.points - pose[:3, 3]) @ pose[:3, :3]),
         "N": laid_out(hits.normals @ pose[:3, :3]),
         "albedo": laid_out(hits.albedo),
-        "flags": _unseen(tables, hits, rig.camera(other), world_from_eye(rig, other)).reshape(h, w),
+        "flags": _unseen(tables, hits, other_rig.camera(other), world_from_eye(other_rig, other)).reshape(h, w),
     }
+    if indirect is not None:
+        passes["light_indirect"] = laid_out(indirect)
     if eye == "left" and is_rectified(rig):
         passes["disparity"] = laid_out(rectified_rig(rig).disparity_from_depth(hits.t))
     return passes | {name: laid_out(layer) for name, layer in truth.layers.items()}, hits.object.reshape(h, w).astype(np.int16)
 
 
 def render(
-    scene: Scene, rig: Rig, *, lights: Sequence[Light] | None = None, samples: int = 3, noise_sigma: float = 0.0, frame: int = 0, shadows: bool = True
+    scene: Scene,
+    rig: Rig,
+    *,
+    lights: Sequence[Light] | None = None,
+    samples: int = 3,
+    noise_sigma: float = 0.0,
+    frame: int = 0,
+    shadows: bool = True,
+    right: tuple[Scene, Rig] | None = None,
+    bounce: int = 0,
 ) -> Shot:
     """Both eyes of `rig` on `scene`, plates and truth.
 
@@ -207,8 +175,13 @@ def render(
     noise_sigma : standard deviation of Gaussian sensor noise on the plate, scene-linear; the same bits for the same frame and eye.
     frame       : number of the frame; a moving scene is built per frame, see `scene_named`.
     shadows     : whether lights cast them.
+    right       : what the right eye sees instead, and the rig by which it stands: a camera that is late, or was knocked.
+    bounce      : rays a pixel that gather the light between surfaces (synth/bounce.py), at pixel centres, for the plate and
+                  `light_indirect`; 0 leaves the scene's flat ambient light.
     Raises      : ShotError where a setting is out of range.
     """
+    if not 0 <= bounce <= 4096:
+        raise ShotError(f"bounce must lie in 0..4096 rays a pixel, got {bounce}")
     if samples < 1 or samples > 16:
         raise ShotError(f"samples must lie in 1..16, got {samples}")
     if not noise_sigma >= 0:
@@ -217,16 +190,19 @@ def render(
     names = [light.name for light in shining]
     if len(set(names)) < len(names):
         raise ShotError(f"two lights share a name: {', '.join(sorted(names))}; names make layers")
-    tables = scene.tables()
+    seen = {"left": (scene, rig), "right": right or (scene, rig)}
     frames: dict[Eye, Frame] = {}
     objects: dict[Eye, npt.NDArray[np.int16]] = {}
     eyes: tuple[Eye, Eye] = ("left", "right")
     for eye in eyes:
-        passes, objects[eye] = _render_eye(tables, rig, eye, shining, scene.ambient, samples, shadows)
+        stage, stand = seen[eye]
+        other = seen["right" if eye == "left" else "left"][1]
+        lit_by = stage.lights if lights is None else shining
+        passes, objects[eye] = _render_eye(stage.tables(), stand, other, eye, lit_by, stage.ambient, samples, shadows, bounce)
         if noise_sigma > 0:
             grain = np.random.Generator(np.random.Philox(key=[frame, int(eye == "right")])).standard_normal(passes["plate"].shape)
             passes["plate"] = (passes["plate"] + noise_sigma * grain).astype(np.float32)
-        frames[eye] = Frame(passes=passes, camera=rig.camera(eye), eye=eye, number=frame, metadata={"scene": scene.name})
+        frames[eye] = Frame(passes=passes, camera=stand.camera(eye), eye=eye, number=frame, metadata={"scene": scene.name})
     return Shot(
         scene=scene.name,
         rig=rig,

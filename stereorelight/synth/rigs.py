@@ -17,7 +17,7 @@ BARREL = (-0.15, 0.03, 0.0008, -0.0006)  # brown k1 k2 p1 p2: a plain 35 mm cine
 EXACT = 1e-9
 
 
-def _turn(*, pitch_deg: float = 0.0, yaw_deg: float = 0.0, roll_deg: float = 0.0) -> Float64:
+def turn(*, pitch_deg: float = 0.0, yaw_deg: float = 0.0, roll_deg: float = 0.0) -> Float64:
     """(3, 3) world (left camera) from right camera, camera frame: yaw > 0 looks right, pitch > 0 looks up, roll about z."""
     a, b, c = math.radians(pitch_deg), math.radians(yaw_deg), math.radians(roll_deg)
     about_x = np.array([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]])
@@ -46,7 +46,7 @@ def toed_in_rig(size: tuple[int, int], *, fov_deg: float = 40.0, baseline_m: flo
     """
     camera = Camera.from_fov(fov_deg, size)
     inward_deg = math.degrees(math.atan2(baseline_m, convergence_m))
-    return rig_at(camera, camera, (baseline_m, 0.0, 0.0), _turn(yaw_deg=-inward_deg))
+    return rig_at(camera, camera, (baseline_m, 0.0, 0.0), turn(yaw_deg=-inward_deg))
 
 
 def distorted_rig(size: tuple[int, int], *, fov_deg: float = 40.0, baseline_m: float = 0.065) -> Rig:
@@ -65,14 +65,14 @@ def offset_rig(
 ) -> Rig:
     """Parallel but carelessly mounted: the right eye sits `up_mm` higher and is a little rolled and pitched."""
     camera = Camera.from_fov(fov_deg, size)
-    return rig_at(camera, camera, (baseline_m, -up_mm / 1000, 0.0), _turn(pitch_deg=pitch_deg, roll_deg=roll_deg))
+    return rig_at(camera, camera, (baseline_m, -up_mm / 1000, 0.0), turn(pitch_deg=pitch_deg, roll_deg=roll_deg))
 
 
 def hard_rig(size: tuple[int, int], *, fov_deg: float = 40.0, baseline_m: float = 0.065, convergence_m: float = 1.5) -> Rig:
     """Everything at once: toed in, distorted, unequal lenses, vertically offset, rolled, right eye mirrored."""
     left, right = _real_lenses(size, fov_deg)
     inward_deg = math.degrees(math.atan2(baseline_m, convergence_m))
-    turned = _turn(yaw_deg=-inward_deg, pitch_deg=0.25, roll_deg=0.4)
+    turned = turn(yaw_deg=-inward_deg, pitch_deg=0.25, roll_deg=0.4)
     return rig_at(left, right, (baseline_m, -0.003, 0.002), turned, mirrored="right")
 
 
