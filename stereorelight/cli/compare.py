@@ -33,7 +33,11 @@ class Place(click.ParamType[tuple[int, int]]):
 @click.command("compare")
 @click.argument("result")
 @click.argument("truth", required=False)
-@click.option("--what", type=click.Choice([*PASSES, "flicker", "rig"]), help="What to compare; two rig files are known as such when it is left out.")
+@click.option(
+    "--what",
+    type=click.Choice([*PASSES, "picture", "stereo", "flicker", "rig"]),
+    help="What to compare; two rig files are known as such when it is left out.",
+)
 @click.option("--rig", "rig_path", type=FILE, metavar="rig.json", help="The rig of rectified plates: adds figures in pixels of disparity.")
 @click.option("--fov-deg", type=float, metavar="DEG", help="The camera, where no file says it: a centred pinhole of this horizontal field of view.")
 @click.option("--at", "distances", multiple=True, type=float, metavar="M", help="Rigs: distances to answer for; 1, 2 and 5 m when left out.")
@@ -49,7 +53,11 @@ class Place(click.ParamType[tuple[int, int]]):
 @click.option("--crop", type=Place(), help="The pixel of RESULT on which TRUTH's first one lies; below 0 for overscan.")
 @click.option("--result-is", metavar="KIND", help="What RESULT's depth is, where it is not ours; Z along the axis when left out.")
 @click.option("--result-unit", metavar="UNIT", help="What one unit of RESULT is, where it is not ours; metres, or pixels, when left out.")
-@click.option("--plate", metavar="PLATE", help="Flicker: the plates whose motion is followed.")
+@click.option("--plate", metavar="PLATE", help="Flicker: the plates whose motion is followed.  Picture: the plate to take away, for the light alone.")
+@click.option("--plate-gain", type=float, metavar="G", help="Picture: what the plate was multiplied by; 1 when left out.")
+@click.option("--matte", "mattes", multiple=True, metavar="NAME=FILE", help="Picture: figures inside this matte too.")
+@click.option("--peak", type=float, metavar="V", help="Picture: what counts as white; 1 when left out.")
+@click.option("--depth", "depths", nargs=2, metavar="LEFT RIGHT", help="Stereo: each eye's Z, where the pictures do not hold it.")
 @frames_option
 @force_option
 @json_option
@@ -64,11 +72,18 @@ def command(
     gate: str | None,
     frames: str | None,
     plate: str | None,
+    plate_gain: float | None,
+    mattes: tuple[str, ...],
+    peak: float | None,
+    depths: tuple[str, str] | None,
     force: bool,
     as_json: bool,
     **said: Any,
 ) -> None:
     """Error and cover of RESULT against TRUTH, two EXRs or sequences; flicker of a RESULT; how far apart two rigs are.
+
+    Of pictures: relative RMS, PSNR, SSIM, CIEDE2000, and each light alone.  Stereo: the left eye's relit picture against
+    the right eye's, carried over by depth and --rig, highlights left out.
 
     TRUTH may be any renderer's or benchmark's: EXR, PFM or 16-bit PNG, of Z, 1/Z, ray length, normalised depth, P or N,
     in any unit, axes, size or crop.  What it is is found from its values and said; what cannot be told is asked for.
@@ -77,12 +92,16 @@ def command(
     """
     if what is None:
         if any(Path(file).suffix.lower() in (".exr", ".pfm", ".png", ".tif", ".tiff") for file in (result, truth) if file):
-            raise click.UsageError(f"Missing option '--what'. Choose from: {', '.join(PASSES)}, flicker")
+            raise click.UsageError(f"Missing option '--what'. Choose from: {', '.join(PASSES)}, picture, stereo, flicker")
         what = "rig"
     if truth is None and what != "flicker":
         raise click.UsageError("Missing argument 'TRUTH'.")
-    if plate and what != "flicker":
-        raise click.UsageError("--plate belongs to flicker")
+    if plate and what not in ("flicker", "picture"):
+        raise click.UsageError("--plate belongs to flicker and picture")
+    if what != "picture" and (plate_gain is not None or mattes or peak is not None):
+        raise click.UsageError("--plate-gain, --matte and --peak belong to picture")
+    if depths and what != "stereo":
+        raise click.UsageError("--depth belongs to stereo")
     if what == "rig":
         if rig_path is not None or gate or frames or fov_deg is not None or any(v is not None for v in said.values()):
             raise click.UsageError("only --at, --out, --force and --json belong to two rigs; they are compared by naming both")
@@ -90,6 +109,12 @@ def command(
         return
     if distances:
         raise click.UsageError("--at belongs to two rigs")
+    if what in ("picture", "stereo"):
+        if fov_deg is not None or any(v is not None for v in said.values()) or (rig_path is not None and what == "picture"):
+            raise click.UsageError("what a truth is (--truth-is, --unit, --rig and so on) belongs to depth, disparity and normals")
+        asked = {"plate": plate, "plate_gain": plate_gain, "mattes": mattes, "peak": peak, "depth": depths or None}
+        _pictures(what, result, str(truth), rig_path, page, gate, frames, asked, force=force, as_json=as_json)
+        return
     _passes(what, result, truth, rig_path, fov_deg, page, gate, frames, plate, said, force=force, as_json=as_json)
 
 
@@ -138,6 +163,41 @@ def _passes(
             )
             judged = judge(result, str(truth), asked, frames=frames, pictures=page is not None, told=told)
     finish(judged.measured, judged.to_dict(), result=result, truth=truth or "", page=page, gate=gate, force=force, as_json=as_json)
+
+
+def _pictures(
+    what: str,
+    result: str,
+    truth: str,
+    rig_path: Path | None,
+    page: Path | None,
+    gate: str | None,
+    frames: str | None,
+    said: dict[str, Any],
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    from stereorelight.cli.progress import Bar
+    from stereorelight.compare.gate import parse_gate
+    from stereorelight.interchange.rigs import read_rig
+    from stereorelight.shot.compare_files import check_page
+    from stereorelight.shot.judge_picture import AskedPicture, judge_pictures
+
+    check_page(page, force=force)
+    if gate is not None:
+        parse_gate(gate)
+    named = dict(word.partition("=")[::2] for word in said.pop("mattes"))
+    if lost := [name for name, file in named.items() if not name or not file]:
+        raise click.UsageError(f"--matte {lost[0]!r} is not NAME=FILE; write for example face=mattes/face.png")
+    asked = AskedPicture(
+        rig=None if rig_path is None else read_rig(rig_path), mattes=named, **{key: value for key, value in said.items() if value is not None}
+    )
+    with Bar("compare", total=1) as bar:
+        judged = judge_pictures(
+            what, result, truth, asked, frames=frames, told=lambda name, done, total: bar.note(name, advance=int(done > 0), total=total)
+        )
+    finish(judged.measured, judged.to_dict(), result=result, truth=truth, page=page, gate=gate, force=force, as_json=as_json)
 
 
 def finish(
