@@ -152,13 +152,14 @@ def test_believed_is_the_logistic_weighing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     hw = (4, 5)
     c = rng.normal(size=9).astype(f4)
-    confirmed, unseen = rng.random(hw) < 0.5, rng.random(hw) < 0.5
-    d = rng.normal(scale=3, size=hw).astype(f4)
-    matched, flow = (d + rng.normal(scale=2, size=hw)).astype(f4), (d + rng.normal(scale=2, size=hw)).astype(f4)
-    matched[0, 0] = flow[1, 1] = np.nan
-    texture_, unlike, spread = (rng.gamma(2, 3, hw).astype(f4) for _ in range(3))
-    moved = np.abs(matched - d)
-    t = c[0] + c[1] * confirmed + c[2] * (np.abs(flow - d) <= 1) + c[3] * np.nan_to_num(np.minimum(moved, 3)) + c[4] * np.isnan(moved)
-    t = t + c[5] * np.log1p(texture_) + c[6] * np.log1p(unlike) + c[7] * np.minimum(spread, 6) / 6 + c[8] * unseen
-    out = believed(c, confirmed, unseen, matched, flow, d, texture_, unlike, spread, low=0.1, high=0.9)
-    assert out == pytest.approx(np.clip(1 / (1 + np.exp(-t)), 0.1, 0.9), abs=1e-5)
+    confirmed, agrees = ((rng.random(hw) < 0.5).astype(f4) for _ in range(2))
+    near, flow_near = (rng.random(hw).astype(f4) for _ in range(2))
+    spread, sigma = (rng.gamma(2, 3, hw).astype(f4) for _ in range(2))
+    edge = np.minimum(spread, 6) / 6
+    t = c[0] + c[1] * confirmed + c[2] * agrees + c[3] * edge + c[4] * np.log(np.maximum(sigma, 1e-3) / 0.03)
+    t = t + c[5] * near + c[6] * flow_near + c[7] * edge * near + c[8] * edge * flow_near
+    p = 1 / (1 + np.exp(-t))
+    out = believed(c, confirmed, agrees, near, flow_near, spread, sigma, floor=0.3)
+    assert out == pytest.approx(np.sqrt((p**2 + 0.09) / 1.09), abs=1e-5)
+    assert out.min() >= 0.28
+    assert out.max() <= 1

@@ -91,7 +91,10 @@ def test_unseen_ground_is_flagged_as_a_guess_from_behind(card) -> None:
     assert ((flags[hidden] & (Flag.OCCLUDED | Flag.UNMATCHED | Flag.OUT_OF_VIEW)) != 0).mean() > 0.8
     assert ((flags[hidden] & Flag.FILLED) != 0).mean() > 0.8
     assert np.median(disparity_error(made, got["Z"])[hidden]) < 0.5
-    assert got["confidence"][hidden].mean() < got["confidence"][~hidden].mean() - 0.2
+    sure = got["confidence"]
+    assert sure[hidden].mean() < sure[~hidden].mean() - 0.1
+    right = disparity_error(made, got["Z"]) < 1  # a plain wall goes on behind the card: the guess is good, and is told to be
+    assert abs(sure[hidden].mean() - right[hidden].mean()) < 0.15
     bare = recover(*plates(made, rectified), rectified, settings=DepthSettings(fill=False)).frame["Z"]
     assert np.array_equal(np.isnan(bare), (flags & Flag.FILLED) != 0)
 
@@ -174,7 +177,7 @@ def real() -> dict[str, object]:
 
 @pytest.mark.parametrize(
     ("quality", "bad2", "bad2_all", "bad05", "normals_deg", "under"),
-    [("draft", 6.0, 9.5, 34.0, 11.0, 52), ("standard", 3.3, 6.5, 11.0, 5.0, 68), ("fine", 3.2, 6.3, 10.5, 4.7, 69)],
+    [("draft", 5.0, 8.5, 34.0, 11.0, 52), ("standard", 2.7, 5.8, 8.9, 5.0, 68), ("fine", 2.6, 5.7, 8.5, 4.7, 70)],
 )
 def test_motorcycle(real, quality, bad2, bad2_all, bad05, normals_deg, under) -> None:
     pair, d = motorcycle(), real[quality].rectified["disparity"]
@@ -189,7 +192,7 @@ def test_motorcycle(real, quality, bad2, bad2_all, bad05, normals_deg, under) ->
 
 
 def test_motorcycle_confidence_tells_the_truth(real) -> None:
-    """Fitted on synthetic shots alone; within 0.15 of the measured share in every bin that holds 1 % of the pixels."""
+    """Fitted on synthetic shots alone; within 0.12 of the measured share in every bin that holds 1 % of the pixels."""
     pair, got = motorcycle(), real["standard"].rectified
     known = np.isfinite(pair.disparity)
     right = np.abs(got["disparity"] - pair.disparity)[known] <= 1
@@ -197,8 +200,11 @@ def test_motorcycle_confidence_tells_the_truth(real) -> None:
     for low in np.arange(0, 1, 0.1):
         inside = (sure >= low) & (sure < low + 0.1)
         if inside.mean() > 0.01:
-            assert abs(sure[inside].mean() - right[inside].mean()) < 0.15, low
-    assert sure[right].mean() > sure[~right].mean() + 0.18
+            assert abs(sure[inside].mean() - right[inside].mean()) < 0.12, low
+    # Of a right and a wrong pixel drawn at random the right one is the surer one five times in six.
+    rank = np.argsort(np.argsort(sure, kind="stable"), kind="stable")
+    n, m = int(right.sum()), int((~right).sum())
+    assert (rank[right].sum() - n * (n - 1) / 2) / (n * m) > 0.83
 
 
 def test_motorcycle_at_another_exposure_and_colour() -> None:

@@ -11,6 +11,7 @@ from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.rows import in_row_blocks
 
 f4 = np.float32
+i4 = np.int32
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -206,4 +207,45 @@ def weighed_sides(
     in_row_blocks(lambda a, b: _preference(a, b, disparity, *sides, left, right, left_steep, right_steep, f4(cap_levels), preference), rows)
     tuning = (decay, space, half, f4(gain), f4(lean), f4(jump_px))
     in_row_blocks(lambda a, b: _sided(a, b, disparity, *sides, likeness, preference, left, *tuning, out), rows)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _outlines(first, end, disparity, where, picture, weights, out):
+    H, W = disparity.shape
+    values, shares = np.empty(25, np.float32), np.empty(25, np.float32)
+    for y in range(first, end):
+        for x in range(W):
+            out[y, x] = disparity[y, x]
+            if not where[y, x]:
+                continue
+            n, total = 0, f4(0)
+            b, g, r = i4(picture[y, x, 0]), i4(picture[y, x, 1]), i4(picture[y, x, 2])
+            for j in range(max(y - 2, 0), min(y + 3, H)):
+                for i in range(max(x - 2, 0), min(x + 3, W)):
+                    apart = max(abs(i4(picture[j, i, 0]) - b), max(abs(i4(picture[j, i, 1]) - g), abs(i4(picture[j, i, 2]) - r)))
+                    value, share = disparity[j, i], weights[apart]
+                    total += share
+                    k = n
+                    while k > 0 and values[k - 1] > value:
+                        values[k], shares[k] = values[k - 1], shares[k - 1]
+                        k -= 1
+                    values[k], shares[k] = value, share
+                    n += 1
+            half, k = f4(0.5) * total - shares[0], 0
+            while half > f4(0) and k < n - 1:
+                k += 1
+                half -= shares[k]
+            out[y, x] = values[k]
+
+
+def outlined(disparity: Float32, where: Bool, picture: UInt8, *, tone_levels: float = 12.0) -> Float32:
+    """Each pixel of `where` takes the median of the 5 x 5 about it, those that look like it counting most: an outline becomes a line,
+    and a thin thing of its own colour stays.
+
+    tone_levels : difference of colour, grey levels of the channel that differs most, at which a neighbour counts 1/e.
+    """
+    weights = np.exp(-np.arange(256, dtype=np.float32) / np.float32(tone_levels))
+    out = np.empty_like(disparity)
+    in_row_blocks(lambda first, end: _outlines(first, end, disparity, where, picture, weights, out), disparity.shape[0])
     return out

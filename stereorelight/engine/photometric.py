@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from stereorelight.arrays import Bool, Float32
+from stereorelight.arrays import Float32
 from stereorelight.engine.rows import in_row_blocks
 
 f4 = np.float32
@@ -174,41 +174,36 @@ def photometric_evidence(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _believed(first, end, coefficients, confirmed, unseen, matched, flow, disparity, texture, unlike, spread, low, high, out):
-    W = disparity.shape[1]
+def _believed(first, end, coefficients, floor2, flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, out):
+    W = spread.shape[1]
+    scale = f4(1) / (f4(1) + floor2)
     for y in range(first, end):
         for x in range(W):
-            d = disparity[y, x]
-            moved = abs(matched[y, x] - d)
-            found = moved == moved
             t = coefficients[0]
-            t += coefficients[1] if confirmed[y, x] else f4(0)
-            t += coefficients[2] if abs(flow[y, x] - d) <= f4(1) else f4(0)  # false for NaN
-            t += coefficients[3] * (min(moved, f4(3)) if found else f4(0))
-            t += f4(0) if found else coefficients[4]
-            t += coefficients[5] * np.log(f4(1) + texture[y, x])
-            t += coefficients[6] * np.log(f4(1) + unlike[y, x])
-            t += coefficients[7] * min(spread[y, x], f4(6)) / f4(6)
-            t += coefficients[8] if unseen[y, x] else f4(0)
-            out[y, x] = min(max(f4(1) / (f4(1) + np.exp(-t)), low), high)
+            t += coefficients[1] * confirmed[y, x]
+            t += coefficients[2] * flow_agrees[y, x]
+            edge = min(spread[y, x], f4(6)) / f4(6)
+            t += edge * (coefficients[3] + coefficients[7] * confirmed_nearby[y, x] + coefficients[8] * flow_nearby[y, x])
+            t += coefficients[4] * np.log(max(sigma[y, x], f4(1e-3)) / f4(0.03))
+            t += coefficients[5] * confirmed_nearby[y, x]
+            t += coefficients[6] * flow_nearby[y, x]
+            p = f4(1) / (f4(1) + np.exp(-t))
+            out[y, x] = np.sqrt((p * p + floor2) * scale)
 
 
 def believed(
     coefficients: Float32,
-    confirmed: Bool,
-    unseen: Bool,
-    matched: Float32,
-    flow: Float32,
-    disparity: Float32,
-    texture: Float32,
-    unlike: Float32,
+    confirmed: Float32,
+    flow_agrees: Float32,
+    confirmed_nearby: Float32,
+    flow_nearby: Float32,
     spread: Float32,
+    sigma: Float32,
     *,
-    low: float,
-    high: float,
+    floor: float,
 ) -> Float32:
-    """The logistic weighing of the evidence that stereo/confidence.py names; every array (H, W)."""
-    out = np.empty_like(disparity)
-    given = (coefficients, confirmed, unseen, matched, flow, disparity, texture, unlike, spread, f4(low), f4(high), out)
-    in_row_blocks(lambda first, end: _believed(first, end, *given), disparity.shape[0])
+    """The logistic weighing p of the evidence that stereo/confidence.py names, told as sqrt((p^2 + floor^2) / (1 + floor^2)); every array (H, W)."""
+    out = np.empty_like(spread)
+    given = (coefficients, f4(floor * floor), flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, out)
+    in_row_blocks(lambda first, end: _believed(first, end, *given), spread.shape[0])
     return out

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from stereorelight.arrays import Bool, Float32, Float64, as_float32
 from stereorelight.engine.occlusion import consistent
 from stereorelight.errors import PassError, PlateError, nearest_hint
-from stereorelight.stereo.match import DisparityRange, match
+from stereorelight.stereo.match import DisparityRange, semi_global
 from stereorelight.stereo.proxy import matching_proxy
 
 Mode = Literal["global", "local"]
@@ -142,7 +142,7 @@ def _own_disparity(left: Float32, right: Float32) -> Float32:
     """A disparity of the small copies that both eyes confirm, NaN elsewhere; the range is whatever the frame allows."""
     proxy = matching_proxy(left, right)
     width = left.shape[1]
-    found = match(proxy, DisparityRange.holding(-width / 6, width / 3), dense=False)
+    found = semi_global(proxy, DisparityRange.holding(-width / 6, width / 3))
     return np.where(consistent(found.left, found.right, within_px=1.0), found.left, np.float32(np.nan))
 
 

@@ -1,8 +1,8 @@
 """How far to believe each disparity, and why some are only guesses.
 
 In: the match, the refined disparity and the flow's second opinion.  Out: confidence (H, W), the share of such pixels
-within 1 px of truth, and reason flags.  The evidence: the right eye confirms the match; the flow confirms it; the refined
-value stays near the matched one; the picture has texture there; the plates look alike along the match; no edge is near.
+within 1 px of truth, and reason flags.  The evidence: the right eye confirms the match, here and round about; the flow confirms
+it, here and round about; no edge is near; and the refinement's own standard deviation, which knows noise and texture.
 A logistic regression weighs it.  Its coefficients were fitted on synthetic shots; docs/depth.md shows the check on
 footage that had no part in the fit.  The same evidence gives the standard deviation of the disparity."""
 
@@ -16,51 +16,51 @@ import numpy as np
 from stereorelight.arrays import Bool, Float32, UInt16
 from stereorelight.engine.photometric import believed, brightness_residual
 from stereorelight.passes import Flag
-from stereorelight.stereo.match import Match
 from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import Refined
 
-EVIDENCE = ("always", "confirmed", "flow agrees", "moved, px", "no match", "log texture", "log unlike", "edge nearby", "unseen")
-COEFFICIENTS = np.array([2.95, 1.39, 0.77, -0.50, -0.37, 0.31, -0.66, -1.75, 0.71], dtype=np.float32)
+EVIDENCE = ("always", "confirmed", "flow agrees", "edge nearby", "log sigma", "confirmed nearby", "flow agrees nearby", "edge, confirmed nearby", "edge, flow agrees nearby")
+COEFFICIENTS = np.array([1.75, 0.45, 0.94, -1.14, -0.77, 2.01, 1.27, -1.41, -1.62], dtype=np.float32)
+FLOOR = 0.3  # ground of which nothing is known but what lies beside it is right that often
 # log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log texture, edge nearby.
-SIGMA_COEFFICIENTS = (0.213, 1.024, 0.377, 0.094, 2.117)
+SIGMA_COEFFICIENTS = (0.31, 1.197, 0.308, 0.184, 0.71)
 MOST_SIGMA_PX = 8.0
-LOWEST, HIGHEST = 0.01, 0.995
 WINDOW = (7, 7)
+CONFIRMED_NEARBY, FLOW_NEARBY = (9, 9), (15, 15)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Evidence:
-    """What speaks for and against each pixel of a refined disparity; every array (H, W).
+    """What speaks for and against each pixel of a refined disparity; every array (H, W) float32.
 
-    matched, flow : disparities by the two methods, NaN where they have none.   unlike : mean brightness residual, grey levels.
-    texture       : mean horizontal slope, grey levels per px.                  spread : range of disparity nearby, px.
+    confirmed, flow_agrees               : 1 where the right eye, the flow say the same, else 0.
+    confirmed_nearby, flow_agrees_nearby : the share of the pixels about it where they do.
+    texture : mean horizontal slope, grey levels per px.   spread : range of disparity nearby, px.   sigma : the refinement's own, px.
     """
 
-    disparity: Float32
-    confirmed: Bool
-    unseen: Bool
-    matched: Float32
-    flow: Float32
+    confirmed: Float32
+    flow_agrees: Float32
+    confirmed_nearby: Float32
+    flow_agrees_nearby: Float32
     texture: Float32
-    unlike: Float32
     spread: Float32
     sigma: Float32
 
 
-def evidence(proxy: Proxy, found: Match, refined: Refined, confirmed: Bool, flow: Float32 | None) -> Evidence:
-    """Gather the evidence; `flow` None counts as a second opinion that says nothing."""
+def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | None) -> Evidence:
+    """Gather the evidence; `flow` None counts as a second opinion that agrees wherever the right eye does."""
     d = refined.disparity
-    residual, rate = brightness_residual(proxy.left_grey, proxy.right_grey, d)
+    rate = brightness_residual(proxy.left_grey, proxy.right_grey, d)[1]
     near = np.ones(WINDOW, np.uint8)
+    sure = confirmed.astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        agrees = sure if flow is None else (np.abs(flow - d) <= 1).astype(np.float32)
     return Evidence(
-        disparity=d,
-        confirmed=confirmed,
-        unseen=refined.unseen,
-        matched=found.left,
-        flow=np.full_like(d, np.nan) if flow is None else flow,
+        confirmed=sure,
+        flow_agrees=agrees,
+        confirmed_nearby=cv2.blur(sure, CONFIRMED_NEARBY),
+        flow_agrees_nearby=cv2.blur(agrees, FLOW_NEARBY),
         texture=cv2.blur(np.abs(rate), WINDOW),
-        unlike=cv2.blur(np.abs(residual), WINDOW),
         spread=cv2.dilate(d, near) - cv2.erode(d, near),
         sigma=refined.sigma_px,
     )
@@ -68,8 +68,7 @@ def evidence(proxy: Proxy, found: Match, refined: Refined, confirmed: Bool, flow
 
 def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS) -> Float32:
     """(H, W) float32, 0..1: among pixels of confidence c a share of about c is within 1 px of truth."""
-    given = (e.confirmed, e.unseen, e.matched, e.flow, e.disparity, e.texture, e.unlike, e.spread)
-    return believed(coefficients, *given, low=LOWEST, high=HIGHEST)
+    return believed(coefficients, e.confirmed, e.flow_agrees, e.confirmed_nearby, e.flow_agrees_nearby, e.spread, e.sigma, floor=FLOOR)
 
 
 def sigma_from_evidence(e: Evidence, confidence: Float32) -> Float32:

@@ -31,7 +31,6 @@ from stereorelight.stereo.settings import DepthSettings
 SMALLEST_DISPARITY_PX = 0.25  # of d + doffs: beyond it, depth is anything up to infinity
 MatchColour = Literal["off", "global", "local"]
 DRAFT_CONSISTENCY_PX = 0.75  # half-size pixels: whole-pixel matches cannot agree better
-NOISY = 3.2  # grey levels of noise from which matching is made stiffer with it
 DRAFT_SMALLEST_PX = 64  # of half a picture's side that a draft is made on
 APART_PX = 1.0  # disparities farther apart belong to two surfaces when Z is carried to the plate
 
@@ -65,8 +64,7 @@ class RectifiedDepth:
 
 def _matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> Match:
     if settings.matcher == OWN:
-        stiffness = float(np.clip(proxy.noise() / NOISY, 1, 2))
-        return match(proxy.calmed(), search, exhaustive=settings.quality == "fine", dense=settings.quality != "draft", stiffness=stiffness)
+        return match(proxy, search, exhaustive=settings.quality == "fine")
     return match_by(matcher_named(settings.matcher), settings.matcher.partition(":")[0], proxy, search)
 
 
@@ -94,14 +92,15 @@ def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> R
     found = _matched(proxy, search, settings)
     confirmed = consistent(found.left, found.right, within_px=settings.consistency_px)
     flow = None if settings.quality == "draft" else flow_disparity(proxy)
-    dense = found.dense
+    dense, known = found.dense, np.isfinite(found.left)
     if flow is not None:
-        # Where matching found nothing and flow, sure of itself, stays near the filtered value, flow fills.
+        # Where matching found nothing and flow, sure of itself, stays near the value beside it, flow fills.
         with np.errstate(invalid="ignore"):
-            useful = ~np.isfinite(found.left) & (np.abs(flow.disparity - dense) <= 2 * settings.consistency_px)
+            useful = ~known & (np.abs(flow.disparity - dense) <= 2 * settings.consistency_px)
         dense = np.where(useful, flow.disparity, dense)
-    refined = refine(proxy, dense, confirmed, effort=EFFORTS[settings.quality])
-    evidence = belief.evidence(proxy, found, refined, confirmed, None if flow is None else flow.disparity)
+        known |= useful
+    refined = refine(proxy, dense, confirmed, known=known, ramps=settings.matcher != OWN, effort=EFFORTS[settings.quality])
+    evidence = belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity)
     confidence = belief.confidence_from_evidence(evidence)
     return RectifiedDepth(
         refined=replace(refined, sigma_px=belief.sigma_from_evidence(evidence, confidence)),

@@ -1,4 +1,4 @@
-"""Matching along rows: the disparity range, and semi-global matching of both eyes (Hirschmüller 2008, OpenCV's SGBM).
+"""Matching along rows: the disparity range, semi-global matching (Hirschmüller 2008, OpenCV's SGBM), and matching by adaptive support.
 
 In: a `Proxy` (rectified, 8-bit, one tone).  Out: disparities (H, W) float32, x_left - x_right in pixels, NaN where
 unmatched.  Disparities of both signs are normal: a converged rig has them on both sides of its convergence."""
@@ -15,8 +15,9 @@ import numpy.typing as npt
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.camera import RectifiedRig
 from stereorelight.engine.occlusion import background, consistent
+from stereorelight.engine.support import supported
 from stereorelight.errors import PlateError
-from stereorelight.stereo.proxy import Proxy
+from stereorelight.stereo.proxy import CALM, Proxy, grey_of
 
 COARSE_WIDTH = 160  # pixels of the picture in which the range is looked for
 COARSE_REACH = 0.6  # of the frame's width: no disparity beyond it is looked for without a near_m
@@ -25,10 +26,14 @@ BEHIND_LIMIT = 0.6  # share of believed matches behind the rig at which the eyes
 TEXTURE = 1.0  # grey levels a pixel: ground plainer than this proves nothing
 FEWEST_MATCHES = 0.2  # share of textured ground that both eyes must confirm; noise against noise gives less than a tenth
 BLOCK = 3
-DISCONTINUITY_RADIUS = 2  # px about a jump in which the filter trusts nothing
 MOST_CELLS = 400_000_000  # pixels times disparities that eight directions are kept for, at about 4 bytes each
 SPECKLE_PX = 60  # an island of disparity smaller than this is a wrong match
-P1, P2 = 2 * BLOCK**2, 12 * BLOCK**2  # penalties of a step by one and of a jump, per channel: lower than usual, since planes smooth later
+SUPPORT_SPECKLE_PX = 40  # the same of adaptive support, in clean plates
+NOWHERE = -32768
+NOISY = 3.2  # grey levels of noise from which matching is made stiffer with it
+ALIKE = 0.3  # of the noise: neighbours that differ by less are alike to the census
+P1, P2 = 2 * BLOCK**2, 30 * BLOCK**2  # penalties of a step by one and of a jump, per channel: low for steps, since planes smooth later; high for
+# jumps, since adaptive support finds the outlines and wants one answer on a wall that repeats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,17 +58,12 @@ class Match:
     """What matching says of a pair.
 
     left, right : each eye's own disparity, NaN where unmatched.
-    dense       : the left one, filtered along the picture's edges, with a value everywhere.
+    dense       : the left one with a value everywhere.
     """
 
     left: Float32
     right: Float32
     dense: Float32
-
-
-def _sgbm(search: DisparityRange, channels: int, mode: int, stiffness: float) -> cv2.StereoSGBM:
-    step, jump = (round(p * channels * stiffness) for p in (P1, P2))
-    return cv2.StereoSGBM_create(search.low, search.count, BLOCK, step, jump, 1, 63, 0, SPECKLE_PX, 1, mode)
 
 
 def _raw(matcher: Any, picture: UInt8, other: UInt8, *, before: int, after: int) -> npt.NDArray[np.int16]:
@@ -90,40 +90,55 @@ def everywhere(disparity: Float32) -> Float32:
     return np.where(known, disparity, cv2.medianBlur(background(filled, known), 5))
 
 
-def match(
-    proxy: Proxy,
-    search: DisparityRange,
-    *,
-    exhaustive: bool = False,
-    dense: bool = True,
-    stiffness: float = 1.0,
-    wls_lambda: float = 70.0,
-    wls_sigma: float = 1.5,
-) -> Match:
-    """Match both eyes by SGBM, then filter the left disparity along edges (weighted least squares, Min et al. 2014).
+def _matcher(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, stiffness: float = 1.0) -> cv2.StereoSGBM:
+    channels = proxy.left.shape[2] if proxy.left.ndim == 3 else 1
+    cells = proxy.left.shape[0] * (proxy.left.shape[1] + search.count) * search.count
+    mode = cv2.STEREO_SGBM_MODE_HH4 if exhaustive and cells <= MOST_CELLS else cv2.STEREO_SGBM_MODE_SGBM_3WAY
+    step, jump = round(P1 * channels * stiffness), round(P2 * channels)
+    return cv2.StereoSGBM_create(search.low, search.count, BLOCK, step, jump, 1, 63, 0, SPECKLE_PX, 1, mode)
 
-    exhaustive : eight directions of aggregation in place of three; better, slower, and much more memory: three where that
-                 would be more than about 2 GB.
-    stiffness  : what both penalties, of a step and of a jump, are multiplied by: more for noisy plates.
-    dense      : filter; without it `Match.dense` has the background's value where nothing was found.
+
+def _left_px(matcher: cv2.StereoSGBM, proxy: Proxy, search: DisparityRange) -> Float32:
+    raw = _raw(matcher, proxy.left, proxy.right, before=max(0, search.high), after=max(0, -search.low))
+    return _as_pixels(raw, search.low)
+
+
+def semi_global(proxy: Proxy, search: DisparityRange) -> Match:
+    """Both eyes by SGBM alone, three directions: quick, and stiff.  For small copies."""
+    matcher = _matcher(proxy, search)
+    raw = _raw(cv2.ximgproc.createRightMatcher(matcher), proxy.right, proxy.left, before=max(0, -search.low), after=max(0, search.high))
+    left = _left_px(matcher, proxy, search)
+    return Match(left=left, right=-_as_pixels(raw, 1 - search.high), dense=everywhere(left))  # the right matcher counts x_right - x_left
+
+
+def without_speckles(disparity: Float32, smallest_px: int) -> Float32:
+    """`disparity`, NaN on islands of fewer pixels."""
+    sixteenths = np.clip(np.rint(disparity * 16), -32000, 32000).astype(np.int16)
+    cv2.filterSpeckles(sixteenths, NOWHERE, smallest_px, 16)
+    return np.where(sixteenths == NOWHERE, np.float32(np.nan), disparity)
+
+
+def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False) -> Match:
+    """Match both eyes by adaptive support, led by what SGBM says of the left one.
+
+    The one holds plain ground together, the other keeps each thing's own outline (docs/decisions/0020-adaptive-support.md).
+    exhaustive : eight directions of SGBM in place of three; slower, and much more memory: three where that would be more than about 2 GB.
     """
-    left, right = proxy.left, proxy.right
-    channels = left.shape[2] if left.ndim == 3 else 1
-    cells = left.shape[0] * (left.shape[1] + search.count) * search.count
-    matcher = _sgbm(search, channels, cv2.STEREO_SGBM_MODE_HH4 if exhaustive and cells <= MOST_CELLS else cv2.STEREO_SGBM_MODE_SGBM_3WAY, stiffness)
-    positive, negative = max(0, search.high), max(0, -search.low)
-    raw_left = _raw(matcher, left, right, before=positive, after=negative)
-    raw_right = _raw(cv2.ximgproc.createRightMatcher(matcher), right, left, before=negative, after=positive)
-    left_px = _as_pixels(raw_left, search.low)
-    right_px = -_as_pixels(raw_right, 1 - search.high)  # the right matcher counts x_right - x_left
-    if not dense:
-        return Match(left=left_px, right=right_px, dense=everywhere(left_px))
-    wls = cv2.ximgproc.createDisparityWLSFilterGeneric(True)  # not the matcher's own: that one leaves out the padded columns
-    wls.setDepthDiscontinuityRadius(DISCONTINUITY_RADIUS)
-    wls.setLambda(wls_lambda)
-    wls.setSigmaColor(wls_sigma)
-    filtered = wls.filter(raw_left, left, None, raw_right).astype(np.float32) / 16
-    return Match(left=left_px, right=right_px, dense=np.clip(filtered, search.low, search.high))
+    noise = proxy.noise()
+    calm = proxy.calmed()
+    matcher = _matcher(calm, search, exhaustive=exhaustive, stiffness=float(np.clip(noise / NOISY, 1, 2)))
+    greys = (proxy.left_grey, proxy.right_grey) if calm is proxy else (grey_of(p) for p in (calm.left, calm.right))
+    left, right = supported(
+        calm.left,
+        calm.right,
+        *greys,
+        search.low,
+        search.count,
+        given=_left_px(matcher, calm, search),
+        alike=max(1.0, ALIKE * noise),
+    )
+    left = without_speckles(left, round(SUPPORT_SPECKLE_PX * float(np.clip(noise / CALM, 1, 3))))
+    return Match(left=left, right=right, dense=everywhere(left))
 
 
 def _coarse(proxy: Proxy) -> tuple[Proxy, float]:
@@ -156,7 +171,7 @@ def coarse_disparity(proxy: Proxy, search: DisparityRange) -> Float32:
     Matched on a small copy: a few milliseconds, for whoever must know which pixels belong together and not how far they are.
     """
     coarse, scale = _coarse(proxy)
-    found = match(coarse, DisparityRange.holding(search.low * scale, search.high * scale), dense=False)
+    found = semi_global(coarse, DisparityRange.holding(search.low * scale, search.high * scale))
     seen = np.where(consistent(found.left, found.right, within_px=0.75), found.left / np.float32(scale), np.float32(np.nan))
     height, width = proxy.left_grey.shape
     return cv2.resize(seen.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
@@ -178,7 +193,7 @@ def search_range(proxy: Proxy, rig: RectifiedRig, *, near_m: float | None = None
     infinity = -rig.doffs_px * scale
     reach = COARSE_REACH * width
     wide = DisparityRange.holding(infinity - reach / 3, infinity + reach)
-    found = match(coarse, wide, dense=False)
+    found = semi_global(coarse, wide)
     textured = coarse.left_known & (np.abs(cv2.Scharr(coarse.left_grey, cv2.CV_32F, 1, 0)) / 32 > TEXTURE)
     believed = consistent(found.left, found.right, within_px=0.75) & textured
     d = found.left[believed]

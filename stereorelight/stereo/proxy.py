@@ -29,6 +29,11 @@ QUANTILES = 256
 SAMPLES = 20_000  # pixels looked at for statistics: enough for a quantile to a fifth of a grey level
 
 
+def grey_of(picture: UInt8) -> Float32:
+    """(H, W) float32: the mean of the channels."""
+    return cv2.transform(picture, np.full((1, 3), 1 / 3)).astype(np.float32) if picture.ndim == 3 else picture.astype(np.float32)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proxy:
     """Left and right as matchers want them: (H, W, 3) uint8 BGR, (H, W) float32 grey 0..255, and known pixels."""

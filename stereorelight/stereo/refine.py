@@ -17,7 +17,7 @@ import numpy as np
 
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.bending import bend_energy, doubled, halved, plate_correction, slopes
-from stereorelight.engine.edges import joined_to_sides, weighed_sides
+from stereorelight.engine.edges import joined_to_sides, outlined, weighed_sides
 from stereorelight.engine.occlusion import background, unseen
 from stereorelight.engine.photometric import photometric_evidence, row_splines, spline_residual
 from stereorelight.engine.refine import blended, robust_planes
@@ -232,22 +232,44 @@ def sided(disparity: Float32, proxy: Proxy) -> Float32:
     return weighed_sides(disparity, zone, ramp, low, high, proxy.left, proxy.right, *steep, radius_px=SIDE_PX, jump_px=JUMP_PX)
 
 
-def refine(proxy: Proxy, dense: Float32, confirmed: Bool, *, effort: Effort = EFFORTS["standard"], tau_px: float = 0.5) -> Refined:
+def refine(
+    proxy: Proxy,
+    dense: Float32,
+    confirmed: Bool,
+    *,
+    known: Bool | None = None,
+    ramps: bool = False,
+    effort: Effort = EFFORTS["standard"],
+    tau_px: float = 0.5,
+) -> Refined:
     """The refined disparity of the left eye.
 
     dense     : (H, W) disparity with a value everywhere.   confirmed : (H, W), the right eye says the same.
+    known     : (H, W), the rest of `dense` is no answer: the background beside it is put there.
+    ramps     : the matcher leaves ramps and fattened outlines at edges, which are then taken out first.
     tau_px    : how far off a plane a neighbour may lie and still belong to the surface.
     """
     fine = _from_rows_that_match(dense, proxy)
-    lost = (unseen(fine) | _out_of_range(fine, confirmed)) & ~confirmed
+    sure = confirmed if known is None else confirmed & known
+    behind = background(fine, sure)
+    # Hidden: what would be hidden if it were the background, so that a thin thing before a wall keeps its own value.
+    hidden = unseen(np.where(sure, fine, behind)) | unseen(fine) | _out_of_range(fine, sure)
+    lost = hidden & ~sure
+    empty = lost if known is None else lost | ~known
     # The median takes out streaks: a row whose nearest match is wrong.
-    filled = joined(np.where(lost, cv2.medianBlur(background(fine, confirmed), 5), fine), proxy)
-    trust = np.where(confirmed, np.float32(1), np.float32(UNSURE_TRUST))
+    filled = np.where(empty, cv2.medianBlur(behind, 5), fine)
+    trust = np.where(sure, np.float32(1), np.float32(UNSURE_TRUST))
     trust[lost] = UNSEEN_TRUST
+    if ramps:
+        filled = joined(filled, proxy)
+    else:
+        outline = cv2.dilate(_ramps(filled), np.ones((3, 3), np.uint8)) > 0
+        filled = outlined(filled, outline, proxy.calmed().left)
     if effort.passes:
         planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
         filled = blended(blended(planes, tau_px=tau_px), tau_px=tau_px)[0]
-    filled = sided(filled, proxy)
+    if ramps:
+        filled = sided(filled, proxy)
     surface = photometric_surface(proxy, filled, trust, rounds=effort.rounds, steps=effort.steps)
     disparity = surface.disparity
     slope_x, slope_y = slopes(disparity, cut=CUT_PX)
