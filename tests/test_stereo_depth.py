@@ -201,10 +201,10 @@ def test_motorcycle_confidence_tells_the_truth(real) -> None:
         inside = (sure >= low) & (sure < low + 0.1)
         if inside.mean() > 0.01:
             assert abs(sure[inside].mean() - right[inside].mean()) < 0.12, low
-    # Of a right and a wrong pixel drawn at random the right one is the surer one five times in six.
+    # Of a right and a wrong pixel drawn at random the right one is the surer one four times in five.
     rank = np.argsort(np.argsort(sure, kind="stable"), kind="stable")
     n, m = int(right.sum()), int((~right).sum())
-    assert (rank[right].sum() - n * (n - 1) / 2) / (n * m) > 0.83
+    assert (rank[right].sum() - n * (n - 1) / 2) / (n * m) > 0.8
 
 
 def test_motorcycle_at_another_exposure_and_colour() -> None:

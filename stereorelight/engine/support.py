@@ -13,46 +13,38 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
 
 from stereorelight.arrays import Float32, UInt8
 from stereorelight.engine.fastmath import bits_of, float_of
 from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.support_vector import LANES, back, costs, forth, least, take_less
 
 f4 = np.float32
 i4 = np.int32
-CHUNK = 16  # disparities held at a time: two or four vector registers
+CHUNK = LANES  # disparities held at a time
 COLUMNS = 16  # of a block of the filter along columns
 REACH = 2  # px of the census window
 FAR = np.int32(0x7F000000)  # above every cost
 
 
-@intrinsic
-def _ones(typingctx: Any, v: Any) -> Any:
-    """How many bits of a uint64 are set."""
-
-    def code(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> Any:
-        return builder.ctpop(args[0])
-
-    return types.uint64(types.uint64), code
+@njit(cache=True, nogil=True, error_model="numpy")
+def _census_part(row, other, alike, out):
+    """Two more bits of each word of a row: `other` is its neighbours' row, shifted."""
+    for x in range(row.size):
+        d = other[x] - row[x]
+        out[x] = (out[x] << np.uint64(2)) | (np.uint64(d > alike) << np.uint64(1)) | np.uint64(d > -alike)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _census(first, end, grey, alike, out):
-    H, W = grey.shape
+def _census(first, end, wide, alike, out):
+    W = out.shape[1]
     for y in range(first, end):
-        for x in range(W):
-            out[y, x] = np.uint64(0)
-        for dy in range(-REACH, REACH + 1):
-            row, other = grey[y], grey[min(max(y + dy, 0), H - 1)]
-            for dx in range(-REACH, REACH + 1):
-                if dx == 0 and dy == 0:
-                    continue
-                for x in range(W):
-                    d = other[min(max(x + dx, 0), W - 1)] - row[x]
-                    out[y, x] = (out[y, x] << np.uint64(2)) | (np.uint64(d > alike) << np.uint64(1)) | np.uint64(d > -alike)
+        out[y] = np.uint64(0)
+        for j in range(2 * REACH + 1):
+            for i in range(2 * REACH + 1):
+                if i != REACH or j != REACH:
+                    _census_part(wide[y + REACH, REACH : REACH + W], wide[y + j, i : i + W], alike, out[y])
 
 
 def census(grey: Float32, *, alike: float) -> npt.NDArray[np.uint64]:
@@ -61,126 +53,93 @@ def census(grey: Float32, *, alike: float) -> npt.NDArray[np.uint64]:
     The bits that differ between two such words are the steps that the answers are apart.
     """
     out = np.empty(grey.shape, np.uint64)
-    in_row_blocks(lambda a, b: _census(a, b, grey, f4(alike), out), grey.shape[0])
+    wide = np.pad(grey, REACH, mode="edge")
+    in_row_blocks(lambda a, b: _census(a, b, wide, f4(alike), out), grey.shape[0])
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cost_row(word, grey, words, greys, top, before, cap, step, given, pull, limit, out):
-    """Costs of disparities top, top - 1, ... of one row: out[x, k] is of top - k, which lies at column x - top + k of the other eye."""
-    for x in range(grey.size):
-        w, g = word[x], grey[x]
-        a, b = words[x - top + before : x - top + before + CHUNK], greys[x - top + before : x - top + before + CHUNK]
-        c = out[x]
-        for k in range(CHUNK):
-            c[k] = f4(np.int32(_ones(w ^ a[k]))) * step
-        for k in range(CHUNK):
-            c[k] += min(abs(g - b[k]), cap)
-        d = given[x]
-        if d == d:
-            for k in range(CHUNK):
-                c[k] += min(pull * abs(f4(top - k) - d), limit)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _along_row(cost, weight, front, ahead):
-    """Each pixel's mean cost over its row, each other pixel weighed by the product of the weights on the way."""
+def _along_row(cost, weight, n, front, ahead):
+    """Each pixel's mean cost over its row, each other pixel weighed by the product of the weights on the way; all flat."""
     W = weight.size
-    n = np.empty(W, np.float32)
     n[0] = f4(1)
-    for k in range(CHUNK):
-        front[0, k] = cost[0, k]
-        ahead[k] = f4(0)
+    front[:CHUNK], ahead[:] = cost[:CHUNK], f4(0)
     for x in range(1, W):
-        a = weight[x]
-        now, last, c = front[x], front[x - 1], cost[x]
-        for k in range(CHUNK):
-            now[k] = c[k] + a * last[k]
-        n[x] = f4(1) + a * n[x - 1]
+        forth(cost, x * CHUNK, weight[x], front, (x - 1) * CHUNK, x * CHUNK)
+        n[x] = f4(1) + weight[x] * n[x - 1]
     m = f4(0)
     for x in range(W - 1, -1, -1):
-        inverse = f4(1) / (n[x] + m)
-        a = weight[x]
-        c, now = cost[x], front[x]
-        for k in range(CHUNK):
-            own = c[k]
-            c[k] = (now[k] + ahead[k]) * inverse
-            ahead[k] = a * (ahead[k] + own)
-        m = a * (m + f4(1))
+        back(cost, x * CHUNK, weight[x], f4(1) / (n[x] + m), front, x * CHUNK, ahead, 0)
+        m = weight[x] * (m + f4(1))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _rows(first, end, word, grey, other_word, other_grey, top, cap, step, given, pull, limit, weight, cost):
+    """Costs of the disparities top, top - 1, ...: cost[y, x, k] is of top - k, which lies at column x - top + k of the other eye."""
     W = grey.shape[1]
     before = max(0, top)  # columns that are looked up before the frame, and after it
     after = max(0, CHUNK - 1 - top)
     words, greys = np.empty(before + W + after, np.uint64), np.empty(before + W + after, np.float32)
-    front, ahead = np.empty((W, CHUNK), np.float32), np.empty(CHUNK, np.float32)
+    n, front, ahead = np.empty(W, np.float32), np.empty(W * CHUNK, np.float32), np.empty(CHUNK, np.float32)
     for y in range(first, end):
         words[:before], greys[:before] = other_word[y, 0], other_grey[y, 0]
         words[before : before + W], greys[before : before + W] = other_word[y], other_grey[y]
         words[before + W :], greys[before + W :] = other_word[y, W - 1], other_grey[y, W - 1]
-        _cost_row(word[y], grey[y], words, greys, top, before, cap, step, given[y], pull, limit, cost[y])
-        _along_row(cost[y], weight[y], front, ahead)
+        c = cost[y].reshape(W * CHUNK)
+        for x in range(W):
+            d = given[y, x]
+            most = limit if d == d else f4(0)
+            costs(words, greys, x - top + before, word[y, x], grey[y, x], step, cap, f4(top) - d, pull, most, c, x * CHUNK)
+        _along_row(c, weight[y], n, front, ahead)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _columns(first, end, weight, cost):
     """The same along columns, `first` to `end`."""
-    H, n = cost.shape[0], end - first
-    front = np.empty((H, n, CHUNK), np.float32)
-    ahead = np.zeros((n, CHUNK), np.float32)
-    norm, m = np.ones((H, n), np.float32), np.zeros(n, np.float32)
-    for y in range(H):
-        for x in range(n):
-            now, c = front[y, x], cost[y, first + x]
-            if y == 0:
-                for k in range(CHUNK):
-                    now[k] = c[k]
-            else:
-                a, last = weight[y, first + x], front[y - 1, x]
-                for k in range(CHUNK):
-                    now[k] = c[k] + a * last[k]
-                norm[y, x] = f4(1) + a * norm[y - 1, x]
-    for y in range(H - 1, -1, -1):
-        for x in range(n):
-            inverse = f4(1) / (norm[y, x] + m[x])
+    H, W = cost.shape[:2]
+    columns = end - first
+    flat, front = cost.reshape(H * W * CHUNK), np.empty(H * columns * CHUNK, np.float32)
+    ahead = np.zeros(columns * CHUNK, np.float32)
+    norm, m = np.ones((H, columns), np.float32), np.zeros(columns, np.float32)
+    front[: columns * CHUNK] = flat[first * CHUNK : end * CHUNK]
+    for y in range(1, H):
+        for x in range(columns):
             a = weight[y, first + x]
-            c, now, on = cost[y, first + x], front[y, x], ahead[x]
-            for k in range(CHUNK):
-                own = c[k]
-                c[k] = (now[k] + on[k]) * inverse
-                on[k] = a * (on[k] + own)
+            at = (y * columns + x) * CHUNK
+            forth(flat, (y * W + first + x) * CHUNK, a, front, at - columns * CHUNK, at)
+            norm[y, x] = f4(1) + a * norm[y - 1, x]
+    for y in range(H - 1, -1, -1):
+        for x in range(columns):
+            a = weight[y, first + x]
+            inverse = f4(1) / (norm[y, x] + m[x])
+            back(flat, (y * W + first + x) * CHUNK, a, inverse, front, (y * columns + x) * CHUNK, ahead, x * CHUNK)
             m[x] = a * (m[x] + f4(1))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _best(first, end, cost, top, index, keep, best, below, above, last, right):
-    """Take in a chunk: `best` and `right` are costs with the chunk's index in their lowest bits; `below` and `above` the costs of one less and more."""
+    """Take in a chunk: `best` and `right` are costs with the disparity's index in their lowest bits; `below` and `above` the costs of
+    one disparity less and more."""
     W = best.shape[1]
     for y in range(first, end):
-        mine, other = best[y], right[y]
+        mine, other, c = best[y], right[y], cost[y].reshape(W * CHUNK)
         for x in range(W):
-            c = cost[y, x]
-            m = FAR
-            for k in range(CHUNK):
-                m = min(m, (bits_of(c[k]) & keep) | i4(index + k))
+            at = x * CHUNK
             if mine[x] & ~keep == index - 1:  # the best of all so far was the last of the chunk before
-                below[y, x] = c[0]
+                below[y, x] = c[at]
+            m = least(c, at, keep, i4(index))
             if m < mine[x]:
                 mine[x] = m
                 k = (m & ~keep) - index
-                above[y, x] = c[k - 1] if k > 0 else last[y, x]
-                below[y, x] = c[k + 1] if k < CHUNK - 1 else f4(np.inf)
-            last[y, x] = c[CHUNK - 1]
+                above[y, x] = c[at + k - 1] if k > 0 else last[y, x]
+                below[y, x] = c[at + k + 1] if k < CHUNK - 1 else f4(np.inf)
+            last[y, x] = c[at + CHUNK - 1]
             u = x - top
             if u >= 0 and u + CHUNK <= W:
-                o = other[u : u + CHUNK]
-                for k in range(CHUNK):
-                    o[k] = min(o[k], (bits_of(c[k]) & keep) | i4(index + k))
+                take_less(c, at, keep, i4(index), other, u)
             else:
                 for k in range(max(0, -u), min(CHUNK, W - u)):
-                    other[u + k] = min(other[u + k], (bits_of(c[k]) & keep) | i4(index + k))
+                    other[u + k] = min(other[u + k], (bits_of(c[at + k]) & keep) | i4(index + k))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
