@@ -22,7 +22,7 @@ def grey(picture: np.ndarray) -> np.ndarray:
 
 
 def answers(left: np.ndarray, right: np.ndarray, low: int, count: int, **given) -> tuple[np.ndarray, np.ndarray]:
-    return supported(left, right, grey(left), grey(right), low, count, **given)
+    return supported(left, grey(left), grey(right), low, count, **given)
 
 
 def test_census_counts_the_steps_between_answers() -> None:

@@ -161,20 +161,19 @@ def _answers(first, end, best, below, above, right, keep, highest, left_out, rig
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _alike(first, end, picture, tones, reach, across, down):
-    H, W = picture.shape[:2]
+    W = picture.shape[1]
     for y in range(first, end):
         for x in range(W):
             i, j = max(x - 1, 0), max(y - 1, 0)
-            a, b = 0, 0
+            a = b = f4(0)
             for c in range(3):
-                a = max(a, abs(i4(picture[y, x, c]) - i4(picture[y, i, c])))
-                b = max(b, abs(i4(picture[y, x, c]) - i4(picture[j, x, c])))
-            across[y, x], down[y, x] = np.exp(-f4(a) / tones - f4(1) / reach), np.exp(-f4(b) / tones - f4(1) / reach)
+                a = max(a, abs(f4(picture[y, x, c]) - f4(picture[y, i, c])))
+                b = max(b, abs(f4(picture[y, x, c]) - f4(picture[j, x, c])))
+            across[y, x], down[y, x] = np.exp(-a / tones - f4(1) / reach), np.exp(-b / tones - f4(1) / reach)
 
 
 def supported(
     left: UInt8,
-    right: UInt8,
     left_grey: Float32,
     right_grey: Float32,
     low: int,
@@ -191,7 +190,8 @@ def supported(
 ) -> tuple[Float32, Float32]:
     """Disparity of the left eye, to a part of a pixel, and of the right eye, whole pixels, NaN where nothing lands; (H, W) each.
 
-    left, right : (H, W, 3) uint8.   left_grey, right_grey: (H, W) the same in grey, 0..255.   low, count: disparities, as in `DisparityRange`.
+    left        : (H, W, 3) uint8, whose colours part things.   left_grey, right_grey: (H, W) both eyes in grey, 0..255.
+    low, count  : whole disparities low to low + count - 1 are looked at; count a multiple of 16.
     given       : (H, W) px, another matcher's answer, NaN where it has none; a disparity costs `pull` a pixel more off it, up to `limit`.
     alike       : grey levels within which two neighbours are alike to the census.   step: cost of each of its answers that is one off.
     cap_levels  : a difference of grey larger than this is a difference.

@@ -19,7 +19,17 @@ from stereorelight.passes import Flag
 from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import Refined
 
-EVIDENCE = ("always", "confirmed", "flow agrees", "edge nearby", "log sigma", "confirmed nearby", "flow agrees nearby", "edge, confirmed nearby", "edge, flow agrees nearby")
+EVIDENCE = (
+    "always",
+    "confirmed",
+    "flow agrees",
+    "edge nearby",
+    "log sigma",
+    "confirmed nearby",
+    "flow agrees nearby",
+    "edge nearby x confirmed nearby",
+    "edge nearby x flow agrees nearby",
+)
 COEFFICIENTS = np.array([1.75, 0.45, 0.94, -1.14, -0.77, 2.01, 1.27, -1.41, -1.62], dtype=np.float32)
 FLOOR = 0.3  # ground of which nothing is known but what lies beside it is right that often
 # log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log texture, edge nearby.

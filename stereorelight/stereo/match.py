@@ -127,11 +127,11 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False) -> 
     noise = proxy.noise()
     calm = proxy.calmed()
     matcher = _matcher(calm, search, exhaustive=exhaustive, stiffness=float(np.clip(noise / NOISY, 1, 2)))
-    greys = (proxy.left_grey, proxy.right_grey) if calm is proxy else (grey_of(p) for p in (calm.left, calm.right))
+    left_grey, right_grey = (proxy.left_grey, proxy.right_grey) if calm is proxy else (grey_of(calm.left), grey_of(calm.right))
     left, right = supported(
         calm.left,
-        calm.right,
-        *greys,
+        left_grey,
+        right_grey,
         search.low,
         search.count,
         given=_left_px(matcher, calm, search),
