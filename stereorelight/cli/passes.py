@@ -9,8 +9,6 @@ import click
 
 from stereorelight.cli.common import FILE, force_option, frames_option, json_option, out_option, report
 
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
-
 
 @click.command("passes")
 @click.argument("depth")
@@ -19,8 +17,14 @@ METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
 @click.option("--eye", type=click.Choice(["left", "right"]), help="Which eye; the file's own where it says so.")
 @click.option("--fov-deg", type=float, metavar="DEG", help="... or a centred pinhole of this horizontal field of view.")
 @click.option("--layer", metavar="NAME", help="The channel or layer that holds the depth; Z, depth.Z and their like are found.")
-@click.option("--unit", type=click.Choice(list(METRES)), default="m", show_default=True, help="What one unit of it is.")
-@click.option("--ray-length", is_flag=True, help="It holds the distance from the camera, not along the optical axis.")
+@click.option("--unit", metavar="UNIT", help="What one unit of it is: m, cm, mm, ft, in, km, or a number of metres.  [default: m]")
+@click.option("--ray-length", is_flag=True, help="It holds the distance from the camera, not along the optical axis: --depth-is ray.")
+@click.option(
+    "--depth-is", metavar="KIND", help="z, ray, inverse, normalised ..., as `compare --truth-is`; found from the file's P and N where it can be."
+)
+@click.option("--near", "near_m", type=float, metavar="M", help="The near end of a normalised depth, metres ...")
+@click.option("--far", "far_m", type=float, metavar="M", help="... and its far end.")
+@click.option("--axes", metavar="AXES", help="Where x, y and z of the file's own P and N point, such as right,down,forward.")
 @click.option("--method", type=click.Choice(["plane", "difference"]), default="plane", show_default=True, help="How N is found.")
 @frames_option
 @force_option
@@ -32,20 +36,26 @@ def command(
     eye: Literal["left", "right"] | None,
     fov_deg: float | None,
     layer: str | None,
-    unit: str,
+    unit: str | None,
     ray_length: bool,
+    depth_is: str | None,
+    near_m: float | None,
+    far_m: float | None,
+    axes: str | None,
     method: Literal["plane", "difference"],
     frames: str | None,
     force: bool,
     as_json: bool,
 ) -> None:
-    """Z, P and N of DEPTH.exr.
+    """Z, P and N of DEPTH: an EXR, ours or a renderer's, a PFM or a 16-bit PNG.
 
     P is in metres in the scene frame of the camera: x right, y up, the camera looks down -z.  N is unit and faces the
     camera.
     """
     if rig_path and fov_deg is not None:
         raise click.UsageError("give the camera by --rig or by --fov-deg, not both")
+    if ray_length and depth_is not in (None, "ray"):
+        raise click.UsageError(f"--ray-length says ray, --depth-is {depth_is}")
 
     from dataclasses import replace
 
@@ -56,6 +66,15 @@ def command(
     from stereorelight.interchange.rigs import read_rig
     from stereorelight.shot.depths import read_depth, surface_of
     from stereorelight.shot.steps import surface_figures
+    from stereorelight.shot.truths import Stated, kind_of, unit_of
+
+    stated = Stated(
+        kind="ray" if ray_length else None if depth_is is None else kind_of(depth_is),
+        metres=None if unit is None else unit_of(unit),
+        near_m=near_m,
+        far_m=far_m,
+        axes=axes,
+    )
 
     given = Sequence.parse(depth)
     if frames:
@@ -68,12 +87,15 @@ def command(
         for number, path in zip(numbers, paths):
             source = given.path(number)
             bar.note(source.name)
-            found = read_depth(source, layer=layer, metres=METRES[unit], camera=camera, fov_deg=fov_deg, ray_length=ray_length, eye=eye)
+            found = read_depth(source, layer=layer, camera=camera, fov_deg=fov_deg, eye=eye, stated=stated)
             frame = replace(surface_of(found, method=method), number=number)
             write_frame(path, frame, force=force)
-            results.append({"frame": number, "file": str(path), **surface_figures(frame)})
+            told = {"depth_is": found.metadata["depth_is"]} if "depth_is" in found.metadata else {}
+            results.append({"frame": number, "file": str(path), **surface_figures(frame), **told})
             bar.note(source.name, advance=1)
     first = results[0]
     where = first["file"] if len(results) == 1 else f"{len(results)} frames, first {first['file']}"
     text = f"passes: P covers {first['P_cover_percent']:g} %, N {first['N_cover_percent']:g} % -> {where}"
+    if "depth_is" in first:
+        text = f"{first['depth_is']}\n{text}"
     report({"frames": results}, text, as_json=as_json)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -22,6 +23,11 @@ MODES = ("add", "multiply", "light_only")  # of comp.py, which numpy comes with
 @click.option(
     "--fade", type=click.FloatRange(0, 1), help="Take light away where depth and normals are not trusted.  [default: the light file's, else 0]"
 )
+@click.option("--rig", "rig_path", type=FILE, metavar="rig.json", help="The camera of a renderer's passes, so that their axes can be found ...")
+@click.option("--eye", type=click.Choice(["left", "right"]), default="left", show_default=True, help="Which eye of the rig.")
+@click.option("--fov-deg", type=float, metavar="DEG", help="... or a centred pinhole of this horizontal field of view.")
+@click.option("--unit", metavar="UNIT", help="What one unit of a renderer's P is: m, cm, mm, ft, in, km, or a number of metres.  [default: m]")
+@click.option("--axes", metavar="AXES", help="Where x, y and z of a renderer's P and N point, such as right,down,forward.")
 @click.option("--colour", type=click.Choice(["half", "float"]), default="half", show_default=True, help="Precision of the colour layers.")
 @frames_option
 @space_option
@@ -36,6 +42,11 @@ def command(
     plate_gain: float | None,
     mode: str | None,
     fade: float | None,
+    rig_path: Path | None,
+    eye: Literal["left", "right"],
+    fov_deg: float | None,
+    unit: str | None,
+    axes: str | None,
     colour: str,
     frames: str | None,
     colour_space: str,
@@ -59,12 +70,17 @@ def command(
     from stereorelight.footage.preview import confidence_picture, plate_picture
     from stereorelight.footage.sequence import Sequence
     from stereorelight.footage.stills import write_still
+    from stereorelight.interchange.rigs import read_rig
     from stereorelight.passes import Frame
+    from stereorelight.shot.depths import read_surface
     from stereorelight.shot.lighting import lighting_of
     from stereorelight.shot.pairs import FLIPPED
     from stereorelight.shot.schema import read_light_file
     from stereorelight.shot.steps import relight_figures
+    from stereorelight.shot.truths import Stated, unit_of
 
+    stated = Stated(metres=None if unit is None else unit_of(unit), axes=axes)
+    seen_by = None if rig_path is None else read_rig(rig_path).camera(eye)
     knobs = {key: value for key, value in (("plate_gain", plate_gain), ("mode", mode), ("fade", fade)) if value is not None}
     setup = read_light_file(lights_path).with_relight(**knobs)
     pictures, surfaces = open_clip(plate, colour_space=colour_space), Sequence.parse(passes)
@@ -86,7 +102,7 @@ def command(
     with Bar("relight", total=len(numbers)) as bar:
         for number, path, picture, doubt in zip(numbers, paths, previews, trusts):
             bar.note(path.name)
-            frame = read_frame(surfaces.path(number))
+            frame = read_surface(surfaces.path(number), camera=seen_by, fov_deg=fov_deg, stated=stated)
             light_on = pictures.read(number)
             if frame.metadata.get(FLIPPED):
                 light_on = np.ascontiguousarray(light_on[:, ::-1])
@@ -108,7 +124,10 @@ def command(
             if doubt and lit.trust is not None:
                 write_still(doubt, confidence_picture(lit.trust), force=force)
             results.append({"frame": number, "file": str(path), **relight_figures(lit.layers, lit.beauty)})
+            if said := frame.metadata.get("passes_are"):
+                results[-1]["passes_are"] = said
             bar.note(path.name, advance=1)
     first = results[0]
     where = first["file"] if len(results) == 1 else f"{len(results)} frames, first {first['file']}"
-    report({"frames": results}, f"relight: {len(setup.lights)} lights, largest value {first['largest']} -> {where}", as_json=as_json)
+    found = f"{first['passes_are']}\n" if "passes_are" in first else ""
+    report({"frames": results}, f"{found}relight: {len(setup.lights)} lights, largest value {first['largest']} -> {where}", as_json=as_json)

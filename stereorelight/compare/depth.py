@@ -17,7 +17,7 @@ from stereorelight.arrays import Bool, Float32, Float64, as_float32
 from stereorelight.camera import RectifiedRig
 from stereorelight.compare.edges import near_edges
 from stereorelight.compare.figures import Figure, align, tables_of
-from stereorelight.compare.normals import NormalFigures, depth_normal_tally, disparity_normal_tally, normal_figures_of
+from stereorelight.compare.normals import WINDOW_PX, NormalFigures, depth_normal_tally, disparity_normal_tally, normal_figures_of
 from stereorelight.compare.tally import Groups, RegionFigures, Tally, tallied
 from stereorelight.errors import PassError
 
@@ -199,7 +199,7 @@ def depth_tallies(
         groups |= {k: v for k, v in seen.items() if k != f"disparity{DISTANCES}"}
         px = np.abs(rig.disparity_from_depth(a) - rig.disparity_from_depth(b))
         groups[f"disparity{DISTANCES}"] = tallied(px, bins, unit="px", thresholds=BAD_PX)
-    elif rays is not None:
+    elif rays is not None and min(b.shape) >= WINDOW_PX:
         groups["normals"] = {"all": depth_normal_tally(a, b, rays, nonoccluded=mask)}
     return groups
 

@@ -168,7 +168,7 @@ def _unit_of_points(along: Any, Z: Any, stated: Stated, source: str, role: str, 
     reading = detect_depth(along, Z, kinds=("z",), reference=source, role=f"{role}'s P")
     if not reading.sure:
         raise PassError(f"{reading.doubt}")
-    notes.append(reading.words)
+    notes.append(reading.words.replace(f"{WORDS['z']} in ", "in "))
     return reading.form.metres
 
 
