@@ -13,6 +13,7 @@ A row goes through in strips; each step is a leaf loop over separate rows, which
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from stereorelight.engine.rows import in_row_blocks
 PLACE, IS_PLACE, SIDE_U, SIDE_V, AXIS = 0, 3, 4, 7, 10  # position or unit vector towards it; half its extent each way; its shining side
 BALL, RECTANGLE = 13, 14  # radius, 0 for none; 1 for a rectangle
 COLUMNS = 15
-STRIP = 64
+STRIP = 256
 OPEN, UNSEEN = 0.0, -1.0  # in the grid: nothing there however far; nobody knows
 
 
@@ -140,20 +141,13 @@ def _rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, h
 
 
 @kernel()
-def _look(n, at, columns, u, v, du, dv, index):
+def _step(n, at, columns, thick, grid, u, v, k, du, dv, dk, index, found, above, crossed, lit, hidden):
+    """One look of every ray: stop those within the thickness of what is found, mark those that lie farther behind it, and those that
+    changed sides.  Returns how many are left, and how many of them changed sides."""
     for i in range(n):
         index[i] = i4(v[i] + dv[i] * at) * columns + i4(u[i] + du[i] * at)
-
-
-@kernel()
-def _fetch(n, index, grid, found):
     for i in range(n):
         found[i] = grid[np.uint32(index[i])]
-
-
-@kernel()
-def _meet(n, at, thick, k, dk, found, above, lit, hidden, crossed):
-    """Stop the rays that lie within the thickness of what was found, mark those that lie farther behind it, and those that changed sides."""
     left = f4(0)
     many = f4(0)
     for i in range(n):
@@ -164,31 +158,33 @@ def _meet(n, at, thick, k, dk, found, above, lit, hidden, crossed):
         hit = after & (behind < thick * seen * ray)
         unseen = (seen < f4(0)) | (after & (not hit))
         hidden[i] = f4(1) if unseen else hidden[i]
-        cross = f4(1) if after != (above[i] > f4(0)) else f4(0)
-        above[i] = behind
         still = f4(0) if hit else lit[i]
+        cross = still if behind * above[i] < f4(0) else f4(0)
+        above[i] = behind
         crossed[i] = cross
         lit[i] = still
         left += still
-        many += cross * still
+        many += cross
     return left, many
 
 
 @kernel()
-def _through(n, step, index, last, reach, found, before, pixels, crossed, lit):
-    """Stop the rays that changed sides along a surface that hangs together: its depth changed no more than it does about there anyway."""
-    left = f4(0)
+def _through(n, at, step, columns, grid, reach, u, v, du, dv, pixels, index, found, crossed, lit):
+    """Stop the rays that changed sides along a surface that hangs together: its depth changed no more than it does about there anyway.
+
+    There are few: one by one.  Returns how many were stopped."""
+    last = at - step
+    stopped = f4(0)
     for i in range(n):
-        here = reach[np.uint32(index[i])]
-        there = reach[np.uint32(last[i])]
-        most = here if here > there else there
-        long = pixels[i] * step
-        most *= long if long > f4(1) else f4(1)
-        through = (abs(found[i] - before[i]) < most) & (crossed[i] > f4(0))
-        still = f4(0) if through else lit[i]
-        lit[i] = still
-        left += still
-    return left
+        if crossed[i] > f4(0):
+            here = index[i]
+            there = i4(v[i] + dv[i] * last) * columns + i4(u[i] + du[i] * last)
+            long = pixels[i] * step
+            most = max(reach[here], reach[there]) * max(long, f4(1))
+            if abs(found[i] - grid[there]) < most:
+                lit[i] = f4(0)
+                stopped += f4(1)
+    return stopped
 
 
 @kernel()
@@ -224,15 +220,14 @@ def _split(n, P, N, lift, px, py, pz, nx, ny, nz):
 
 
 @kernel()
-def _rows(first, end, P, N, lift, half, asked, grid, reach, columns, fx, fy, cx, cy, near, nearest, thick, q, offsets, steps, lit, unknown):
+def _rows(first, end, P, N, lift, half, asked, partly, grid, reach, columns, fx, fy, cx, cy, near, nearest, thick, q, offsets, steps, lit, unknown):
     """Rows first..end; P, N are (H, 3 W); grid is flat with a border of one cell, `columns` wide; cx, cy hold the border and half a pixel."""
     W = N.shape[1] // 3
-    T = np.empty((31, STRIP + 16), np.float32)
+    T = np.empty((30, STRIP + 16), np.float32)
     px, py, pz, nx, ny, nz, sx, sy, sz, lx, ly, lz = T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9], T[10], T[11]
     far, weight, u, v, k, du, dv, dk, pixels, lost, hidden = T[12], T[13], T[14], T[15], T[16], T[17], T[18], T[19], T[20], T[21], T[22]
     found, going, shone, doubt, total, above, crossed = T[23], T[24], T[25], T[26], T[27], T[28], T[29]
-    earlier = T[30]
-    index, last = np.empty(STRIP + 16, np.int32), np.empty(STRIP + 16, np.int32)
+    index = np.empty(STRIP + 16, np.int32)
     samples = offsets.shape[1]
     width = f4(columns - 1) - f4(0.001)
     height = f4(grid.shape[0] // columns - 1) - f4(0.001)
@@ -243,12 +238,13 @@ def _rows(first, end, P, N, lift, half, asked, grid, reach, columns, fx, fy, cx,
             shone[:] = f4(0)
             doubt[:] = f4(0)
             total[:] = f4(0)
-            wanted = asked[y, x : x + n]
             halves = half[y, x : x + n]
             for sample in range(samples):
                 _targets(n, x, y, sample, offsets, q, px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
-                for i in range(n):
-                    weight[i] = weight[i] if wanted[i] > f4(0) else f4(0)
+                if partly:
+                    wanted = asked[y, x : x + n]
+                    for i in range(n):
+                        weight[i] = weight[i] if wanted[i] > f4(0) else f4(0)
                 longest = _rays(
                     n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, halves, weight, u, v, k, du, dv, dk, pixels,
                     above, lost, going,
@@ -256,19 +252,13 @@ def _rows(first, end, P, N, lift, half, asked, grid, reach, columns, fx, fy, cx,
                 hidden[:] = f4(0)
                 count = min(steps, int(longest) + 1)
                 step = f4(1) / f4(count)
-                now, then, new, old = index, last, found, earlier
-                _look(n, f4(0), columns, u, v, du, dv, then)
-                _fetch(n, then, grid, old)
                 for s in range(1, count + 1):
                     at = f4(s) * step
-                    _look(n, at, columns, u, v, du, dv, now)
-                    _fetch(n, now, grid, new)
-                    left, many = _meet(n, at, thick, k, dk, new, above, going, hidden, crossed)
+                    left, many = _step(n, at, columns, thick, grid, u, v, k, du, dv, dk, index, found, above, crossed, going, hidden)
                     if many > f4(0):
-                        left = _through(n, step, now, then, reach, new, old, pixels, crossed, going)
-                    if left == f4(0):
+                        left -= _through(n, at, step, columns, grid, reach, u, v, du, dv, pixels, index, found, crossed, going)
+                    if left < f4(0.5):
                         break
-                    now, then, new, old = then, now, old, new
                 _gather(n, nearest, k, dk, lost, going, hidden, weight, shone, doubt, total)
             for i in range(n):
                 some = total[i] > f4(0)
@@ -277,11 +267,35 @@ def _rows(first, end, P, N, lift, half, asked, grid, reach, columns, fx, fy, cx,
                 unknown[y, x + i] = doubt[i] * per
 
 
-def bordered(grid: Float32, beyond: float = UNSEEN) -> Float32:
-    """The grid, flat, with a border of one cell."""
-    room = np.full((grid.shape[0] + 2, grid.shape[1] + 2), beyond, np.float32)
-    room[1:-1, 1:-1] = grid
-    return room.reshape(-1)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Grid:
+    """The seen surface as the march reads it; make it with `grid_of`.
+
+    cells, reach : flat, with a border of one cell, `columns` wide.     pinhole : fx, fy, cx, cy of the camera that it is seen by.
+    near    : metres, just nearer than the nearest cell.     nearest : inverse depth beyond which nothing is expected outside the frame.
+    """
+
+    cells: Float32
+    reach: Float32
+    columns: int
+    pinhole: tuple[float, float, float, float]
+    near: float
+    nearest: float
+
+
+def grid_of(inverse: Float32, reach: Float32, pinhole: tuple[float, float, float, float], *, nearest: float) -> Grid:
+    """inverse : (h, w) inverse depth, 1 / metres; OPEN where nothing is, UNSEEN where nobody knows.
+    reach   : (h, w) 1 / metres, what inverse depth changes by to a cell's neighbours on the same surface, at most."""
+
+    def bordered(values: Float32, beyond: float) -> Float32:
+        room = np.full((values.shape[0] + 2, values.shape[1] + 2), beyond, np.float32)
+        room[1:-1, 1:-1] = values
+        return room.reshape(-1)
+
+    near = 0.999 / max(float(inverse.max()), 1e-9)
+    return Grid(
+        cells=bordered(inverse, UNSEEN), reach=bordered(reach, 0.0), columns=inverse.shape[1] + 2, pinhole=pinhole, near=near, nearest=nearest
+    )
 
 
 def march(
@@ -289,14 +303,11 @@ def march(
     N: Float32,
     lift: Float32,
     half: Float32,
-    asked: Float32,
-    grid: Float32,
-    reach: Float32,
-    pinhole: tuple[float, float, float, float],
+    asked: Float32 | None,
+    grid: Grid,
     light: Float32,
     offsets: Float32,
     *,
-    nearest: float,
     thickness_m: float,
     steps: int,
 ) -> tuple[Float32, Float32]:
@@ -304,25 +315,22 @@ def march(
 
     P, N    : (H, W, 3).   lift : (H, W) metres along N that a ray starts off the surface; NaN for no ray.
     half    : (H, W) 1 / metres that its start is brought nearer to the camera by, for the steps between the grid's cells.
-    asked   : (H, W), 0 where no answer is wanted.
-    grid    : (h, w) inverse depth, 1 / metres; OPEN where nothing is, UNSEEN where nobody knows.
-    reach   : (h, w) 1 / metres, what inverse depth changes by to a cell's neighbours on the same surface, at most.
-    pinhole : fx, fy, cx, cy of the camera that the grid is seen by.
+    asked   : (H, W), 0 where no answer is wanted; None for everywhere.
     light   : (COLUMNS,);  offsets : (16, samples, 2), where on the light each of the 4 x 4 kinds of pixel looks, in units of its sides.
-    nearest : inverse depth beyond which nothing is expected outside the frame.
     steps   : at most so many a ray; a ray of fewer pixels takes one a pixel.
     """
     height, width = N.shape[:2]
     lit, unknown = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-    fx, fy, cx, cy = pinhole
-    room, columns = bordered(grid), grid.shape[1] + 2
-    # Just nearer than the nearest cell there is nothing to meet.
-    near = f4(0.999 / max(float(grid.max()), 1e-9))
+    fx, fy, cx, cy = grid.pinhole
+    numbers = (f4(fx), f4(fy), f4(cx + 1.5), f4(cy + 1.5), f4(grid.near), f4(grid.nearest), f4(thickness_m))
     flat = [a.reshape(height, -1) for a in (P, N)]
-    numbers = (f4(fx), f4(fy), f4(cx + 1.5), f4(cy + 1.5), near, f4(nearest), f4(thickness_m))
+    where = np.empty((1, 1), np.float32) if asked is None else asked
 
     def run(first: int, end: int) -> None:
-        _rows(first, end, *flat, lift, half, asked, room, bordered(reach, 0.0), i4(columns), *numbers, light, offsets, steps, lit, unknown)
+        _rows(
+            first, end, *flat, lift, half, where, asked is not None, grid.cells, grid.reach, i4(grid.columns), *numbers, light, offsets, steps,
+            lit, unknown,
+        )  # fmt: skip
 
     in_row_blocks(run, height)
     return lit, unknown

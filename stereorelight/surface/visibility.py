@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,9 @@ from stereorelight.surface.emitters import Emitter, on_disc, spread, towards_lig
 from stereorelight.surface.mesh import Links, Mesh, beside_nearer, half_steps, links_of, mesh_from_depth, solid, without
 from stereorelight.surface.position import checked_depth, position_from_depth
 
+if TYPE_CHECKING:
+    from stereorelight.engine.march import Grid
+
 Method = Literal["march", "rays"]
 METHODS = ("march", "rays")
 SIGMAS = 2.0  # standard deviations of the depth that a ray starts off it by
@@ -31,6 +34,7 @@ REACH = 1.0  # tangent of a slope that any surface may have between two looks of
 BESIDE_PX = 4  # of matched depth: how far beside a nearer thing the ground is not to be trusted
 LEAST = 2e-5  # of the distance: float32 itself
 STEPS = 512
+NEAREST = 0.995  # quantile of inverse depth: what stands alone in front of everything does not say how near things come
 RAYS_AT_ONCE = 1 << 18
 MOST_SAMPLES = 1024
 
@@ -153,9 +157,9 @@ class ShadowScene:
         return np.nan_to_num(found * np.float32(1.5))
 
     @cached_property
-    def grid(self) -> tuple[Float32, Float32, tuple[float, float, float, float]]:
-        """Inverse depth on a pinhole's grid, `reach` on it, and that pinhole: the plate's own, its lens undone."""
-        from stereorelight.engine.march import OPEN, UNSEEN
+    def grid(self) -> Grid:
+        """The surface as the march reads it: on a pinhole's grid, the plate's own with its lens undone."""
+        from stereorelight.engine.march import OPEN, UNSEEN, grid_of
 
         inverse = np.where(np.isfinite(self.Z), 1 / self.Z, np.float32(UNSEEN)).astype(np.float32)
         if self.open is not None:
@@ -163,8 +167,10 @@ class ShadowScene:
         inverse[np.isfinite(self.Z) & ~self.casts] = OPEN
         camera = self.camera
         numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
+        seen = inverse[inverse > 0]
+        nearest = 0.0 if self.outside_open or not seen.size else float(np.quantile(seen, NEAREST))
         if not camera.distorts:
-            return inverse, self.reach, numbers
+            return grid_of(inverse, self.reach, numbers, nearest=nearest)
         slopes = camera.ray_grid()
         low, high = np.nanmin(slopes, axis=(0, 1)), np.nanmax(slopes, axis=(0, 1))
         fx, fy = camera.fx, camera.fy
@@ -177,7 +183,7 @@ class ShadowScene:
         at = np.where(inside[..., None], at, 0).astype(np.int64)
         straight = np.where(inside, inverse[at[..., 1], at[..., 0]], np.float32(UNSEEN)).astype(np.float32)
         reach = np.where(inside, self.reach[at[..., 1], at[..., 0]], np.float32(0)).astype(np.float32)
-        return straight, reach, (fx, fy, -float(x0), -float(y0))
+        return grid_of(straight, reach, (fx, fy, -float(x0), -float(y0)), nearest=nearest)
 
     def shadow(
         self,
@@ -203,8 +209,8 @@ class ShadowScene:
         if not 1 <= samples <= MOST_SAMPLES:
             raise ShotError(f"light {emitter.name!r}: shadow_samples must lie in 1 ... {MOST_SAMPLES}, got {samples}")
         count = 1 if emitter.is_hard else samples
-        where = np.ones(self.Z.shape, np.float32) if asked is None else np.nan_to_num(as_float32(asked, "asked", size_hw=self.Z.shape))
-        lift = np.maximum(self.lift + np.float32(bias_m), np.float32(0))
+        where = None if asked is None else np.nan_to_num(as_float32(asked, "asked", size_hw=self.camera.size_hw))
+        lift = np.maximum(self.lift + np.float32(bias_m), np.float32(0)) if bias_m else self.lift
         marched = self._marched(emitter, lift, where, count if method == "march" else min(count, 4), steps)
         lit = marched.lit if method == "march" else self._traced(emitter, lift, where, count)
         if count > 1:
@@ -213,28 +219,25 @@ class ShadowScene:
             unknown = marched.unknown
         return Shadow(lit=lit, unknown=np.minimum(unknown, lit))
 
-    def _marched(self, emitter: Emitter, lift: Float32, asked: Float32, samples: int, steps: int) -> Shadow:
+    def _marched(self, emitter: Emitter, lift: Float32, asked: Float32 | None, samples: int, steps: int) -> Shadow:
         from stereorelight.engine.march import march
 
-        grid, reach, pinhole = self.grid
-        known = grid[grid > 0]
         thickness = float(np.nanmean(self.thickness_m))
         offsets = pattern(samples, disc=emitter.shape != "rectangle").astype(np.float32)
         if emitter.is_hard:
             offsets[:] = 0
-        lit, unknown = march(
-            self.P, self.N, lift, self.halves, asked, grid, reach, pinhole, march_row(emitter), offsets,
-            nearest=0.0 if self.outside_open else float(np.quantile(known, 0.995)), thickness_m=thickness, steps=steps,
-        )  # fmt: skip
+        row = march_row(emitter)
+        lit, unknown = march(self.P, self.N, lift, self.halves, asked, self.grid, row, offsets, thickness_m=thickness, steps=steps)
         return Shadow(lit=lit, unknown=unknown)
 
-    def _traced(self, emitter: Emitter, lift: Float32, asked: Float32, samples: int) -> Float32:
+    def _traced(self, emitter: Emitter, lift: Float32, asked: Float32 | None, samples: int) -> Float32:
         h, w = self.Z.shape
         lit = np.zeros(h * w, np.float32)
         offsets = spread_pattern(samples)
         N, P = self.N.reshape(-1, 3), self.P.reshape(-1, 3)
         with np.errstate(invalid="ignore"):
-            pixels = np.flatnonzero((asked.reshape(-1) > 0) & (np.isfinite(P + N).all(axis=-1)) & np.isfinite(lift).reshape(-1))
+            wanted = np.isfinite(P + N).all(axis=-1) & np.isfinite(lift).reshape(-1)
+            pixels = np.flatnonzero(wanted if asked is None else wanted & (asked.reshape(-1) > 0))
         kind = kinds((h, w)).reshape(-1)
         axis = np.array(emitter.towards)
         for first in range(0, len(pixels), RAYS_AT_ONCE):
