@@ -9,7 +9,9 @@ import pytest
 
 from stereorelight.camera import Camera
 from stereorelight.engine import raycast
-from stereorelight.surface.emitters import Emitter
+from stereorelight.errors import PassError, ShotError
+from stereorelight.surface.emitters import Emitter, across, on_disc, spread
+from stereorelight.surface.occlusion import ambient_occlusion
 from stereorelight.surface.visibility import ShadowScene
 from stereorelight.synth.lights import Light
 from stereorelight.synth.render import FLIP, SELF_M
@@ -72,3 +74,184 @@ def test_march_and_rays_agree(name: str) -> None:
     scene, facing, _ = truth(name, LIGHTS[name])
     rays, marched = (scene.shadow(emitter(LIGHTS[name]), method=method) for method in ("rays", "march"))
     assert ((rays.lit > 0.5) == (marched.lit > 0.5))[facing].mean() >= 0.99
+
+
+CAMERA = Camera.from_fov(40, (160, 90))
+WALL = np.full(CAMERA.size_hw, 2.0, np.float32)
+TO_CAMERA = np.broadcast_to(np.float32([0, 0, 1]), (*CAMERA.size_hw, 3))
+V, U = np.mgrid[0:90, 0:160]
+METHODS = ("march", "rays")
+
+
+def card_scene(**more: object) -> tuple[ShadowScene, np.ndarray]:
+    """A card of 31 x 21 pixels at 1.5 m before a wall at 2 m, and where it is."""
+    on = (abs(U - 80) <= 15) & (abs(V - 45) <= 10)
+    Z = np.where(on, np.float32(1.5), WALL)
+    return ShadowScene(Z=Z, N=TO_CAMERA, camera=CAMERA, outside_open=True, **more), on  # type: ignore[arg-type]
+
+
+SUN = Emitter(name="sun", shape="direction", towards=(0.6, 0.0, 0.8))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_card_throws_its_shadow_where_geometry_says(method: str) -> None:
+    """The sun stands to the right at 3:4, so the shadow lies 0.375 m to the left, and as much of it is seen as the card does not hide."""
+    scene, on = card_scene()
+    found = scene.shadow(SUN, method=method)
+    left, right = ((80 + side - CAMERA.cx) / CAMERA.fx * 1.5 - 0.375 for side in (-15.5, 15.5))
+    x, y = (U - CAMERA.cx) / CAMERA.fx * 2.0, (V - CAMERA.cy) / CAMERA.fy * 2.0
+    low, high = ((45 + side - CAMERA.cy) / CAMERA.fy * 1.5 for side in (-10.5, 10.5))
+    wanted = (x > left) & (x < right) & (y > low) & (y < high) & ~on
+    assert iou(wanted, found.lit < 0.5) > 0.97
+    assert (found.lit[on] == 1).all(), "nothing stands before the card"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_what_lies_behind_the_card_is_unknown_until_it_has_a_thickness(method: str) -> None:
+    thin, on = card_scene()
+    thick, _ = card_scene(thickness_m=0.6)
+    a, b = (scene.shadow(SUN, method=method) for scene in (thin, thick))
+    behind = (a.unknown > 0.5) & (a.lit > 0.5)
+    assert behind.sum() > 100, "rays that pass behind the card"
+    assert not behind[on].any()
+    assert (b.lit[behind] < 0.5).mean() > 0.95, "a thing 0.6 m deep reaches the wall and stops them"
+    assert (b.unknown > 0.5).sum() < 0.05 * behind.sum()
+    assert ((a.unknown <= a.lit) & (a.unknown >= 0)).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_ray_that_leaves_the_frame_among_things_is_unknown(method: str) -> None:
+    on = (abs(U - 80) <= 15) & (abs(V - 45) <= 10)
+    Z = np.where(on, np.float32(1.5), WALL)
+    low = Emitter(name="low", shape="direction", towards=(0.995, 0.0, 0.0999))
+    strict = ShadowScene(Z=Z, N=TO_CAMERA, camera=CAMERA).shadow(low, method=method)
+    told_open = ShadowScene(Z=Z, N=TO_CAMERA, camera=CAMERA, outside_open=True).shadow(low, method=method)
+    assert strict.unknown[10, 150] == 1
+    assert told_open.unknown[10, 150] == 0
+    assert strict.lit[10, 150] == told_open.lit[10, 150] == 1
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_soft_edge_is_as_wide_as_geometry_says(method: str) -> None:
+    """A sun of 20 degrees behind a card's edge 0.5 m before the wall: the light rises over the sun's width on the wall, by its disc's own area."""
+    edge = U < 80
+    Z = np.where(edge, np.float32(1.5), WALL)
+    sun = Emitter(name="sun", shape="direction", towards=(-0.6, 0.0, 0.8), angle_deg=20.0)
+    found = ShadowScene(Z=Z, N=TO_CAMERA, camera=CAMERA, outside_open=True).shadow(sun, method=method, samples=64)
+    x = (U[45] - CAMERA.cx) / CAMERA.fx * 2.0
+    limit = (79.5 - CAMERA.cx) / CAMERA.fx * 1.5
+    ways = np.random.default_rng(0).uniform(-1, 1, (20000, 2))
+    ways = ways[(ways**2).sum(-1) < 1] * np.tan(np.radians(10))
+    dirs = np.array([-0.6, 0, 0.8]) + ways[:, :1] * np.array([0.8, 0, 0.6]) + ways[:, 1:] * np.array([0.0, 1, 0])
+    weight = np.maximum(dirs[:, 2], 0)
+    seen = np.array([(weight * (at + 0.5 * dirs[:, 0] / dirs[:, 2] > limit)).sum() / weight.sum() for at in x])
+    open_wall = (U[45] >= 80) & (U[45] < 155)
+    assert np.abs(found.lit[45] - seen)[open_wall].mean() < 0.02
+    assert np.abs(found.lit[45] - seen)[open_wall].max() < 0.12
+
+
+def test_soft_shadows_keep_their_pattern_and_know_no_frame() -> None:
+    scene, _ = card_scene()
+    lamp = Emitter(name="lamp", shape="rectangle", position_m=(0.5, 0.2, -0.5), towards=(0, 0, -1), side_u_m=(0.2, 0, 0), side_v_m=(0, 0.1, 0))
+    for method in METHODS:
+        one, two = (scene.shadow(lamp, method=method) for _ in range(2))  # type: ignore[arg-type]
+        np.testing.assert_array_equal(one.lit, two.lit)
+    march, rays = (scene.shadow(lamp, method=method).lit for method in ("march", "rays"))
+    assert np.abs(march - rays).mean() < 0.01
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_noise_that_sigma_tells_of_makes_no_acne(method: str) -> None:
+    """A wall whose depth is off by 2 mm, and says so, in a raking light: it stays lit, and without sigma it does not."""
+    rng = np.random.default_rng(0)
+    noise = np.kron(rng.normal(0, 0.002, (45, 80)), np.ones((2, 2)))
+    Z = (WALL + noise).astype(np.float32)
+    raking = Emitter(name="rake", shape="direction", towards=(0.966, 0.0, 0.259))
+    told = ShadowScene(Z=Z, N=TO_CAMERA, camera=CAMERA, Z_sigma=np.full_like(Z, 0.002)).shadow(raking, method=method)
+    silent = ShadowScene(Z=Z, N=TO_CAMERA, camera=CAMERA).shadow(raking, method=method, bias_m=-1.0)
+    assert (told.lit < 0.5).mean() < 0.02
+    assert method == "march" or (silent.lit < 0.5).mean() > 0.3  # the march always allows for the steps between its cells
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("place", [(0.0, 0.0, -2.0), (0.0, 0.0, -3.0), (0.0, 0.0, -1.4999), (0.0, 0.0, 0.0)])
+def test_lights_in_and_behind_the_surface_have_an_answer(method: str, place: tuple[float, float, float]) -> None:
+    scene, _ = card_scene()
+    for emitter_ in (Emitter(name="a", shape="place", position_m=place), Emitter(name="b", shape="ball", position_m=place, radius_m=0.1)):
+        found = scene.shadow(emitter_, method=method)
+        for layer in (found.lit, found.unknown):
+            assert np.isfinite(layer).all()
+            assert ((layer >= 0) & (layer <= 1)).all()
+
+
+def test_unknown_pixels_and_bad_settings() -> None:
+    Z = WALL.copy()
+    Z[40:50, 70:90] = np.nan
+    scene = ShadowScene(Z=Z, N=TO_CAMERA, camera=CAMERA)
+    for method in METHODS:
+        assert np.isfinite(scene.shadow(SUN, method=method).lit).all()  # type: ignore[arg-type]
+    with pytest.raises(PassError, match="no known pixel"):
+        ShadowScene(Z=Z * np.nan, N=TO_CAMERA, camera=CAMERA)
+    with pytest.raises(PassError, match="thickness"):
+        ShadowScene(Z=Z, N=TO_CAMERA, camera=CAMERA, thickness_m=-1.0)
+    with pytest.raises(ShotError, match="did you mean 'march'"):
+        scene.shadow(SUN, method="martch")  # type: ignore[arg-type]
+    with pytest.raises(ShotError, match="shadow_samples"):
+        scene.shadow(SUN, samples=0)
+    with pytest.raises(ShotError, match="radius_m"):
+        Emitter(name="a", shape="ball", radius_m=-1.0)
+    for settings in ({"radius_m": 0.0}, {"radius_m": float("nan")}, {"falloff": -1.0}, {"samples": 0}):
+        with pytest.raises(ShotError, match="occlusion"):
+            ambient_occlusion(scene, **settings)
+
+
+def test_a_lens_that_bends_casts_the_same_shadow() -> None:
+    """The march goes through the depth with the lens undone; rays never knew of it."""
+    bent = Camera(size=(240, 136), K=np.array([[300.0, 0, 118], [0, 300, 69], [0, 0, 1]]), model="brown", distortion=(-0.25, 0.06, 0.001, -0.001))
+    tables = scene_named("sphere").tables()
+    ways = bent.rays(bent.pixel_grid().reshape(-1, 2)) @ FLIP
+    t, hit = raycast.first_hits(tables.objects, tables.primitives, np.zeros((1, 3)), ways)
+    normals = raycast.surface_at(tables.objects, tables.primitives, tables.materials, t[:, None] * ways, hit)[0]
+    N = normals.reshape(*bent.size_hw, 3).astype(np.float32)
+    scene = ShadowScene(Z=t.reshape(bent.size_hw).astype(np.float32), N=N, camera=bent)
+    march, rays = (scene.shadow(emitter(KEY), method=method).lit > 0.5 for method in ("march", "rays"))
+    assert 0.02 < (~rays).mean() < 0.9
+    assert (march == rays).mean() > 0.985
+
+
+@pytest.mark.parametrize("name", ["bust", "table"])
+def test_ambient_occlusion_and_bent_normals_against_traced_truth(name: str) -> None:
+    scene, _, _ = truth(name, KEY)
+    radius, count, step = 0.3, 64, 7
+    found = ambient_occlusion(scene, radius_m=radius)
+    tables = scene_named(name).tables()
+    P, N = (a[2::step, 2::step].reshape(-1, 3).astype(np.float64) for a in (scene.P, scene.N))
+    known = np.isfinite(P).all(axis=-1)
+    P, N = P[known], N[known]
+    u, v = across(N)
+    lost, way = np.zeros(len(P)), np.zeros((len(P), 3))
+    rng = np.random.default_rng(0)
+    for at in spread(count):
+        disc = on_disc((at + rng.random((len(P), 2))) % 1)
+        ways = disc[:, :1] * u + disc[:, 1:] * v + np.sqrt(np.maximum(1 - (disc**2).sum(-1), 0))[:, None] * N
+        t, hit = raycast.first_hits(tables.objects, tables.primitives, P + 1e-5 * N, ways, limits=np.full(len(P), radius))
+        blocked = np.where(hit >= 0, 1 - t / radius, 0.0)
+        lost += blocked
+        way += blocked[:, None] * ways
+    ao, bent = 1 - lost / count, 2 / 3 * N - way / count
+    bent /= np.linalg.norm(bent, axis=-1, keepdims=True)
+    own_ao = found.ao[2::step, 2::step].reshape(-1)[known]
+    own_bent = found.bent[2::step, 2::step].reshape(-1, 3)[known]
+    shaded = ao < 0.95
+    angle = np.degrees(np.arccos(np.clip((own_bent * bent).sum(axis=-1), -1, 1)))
+    assert shaded.mean() > 0.1
+    assert np.abs(own_ao - ao).mean() <= 0.03
+    assert np.abs(own_ao - ao)[shaded].mean() <= 0.05
+    assert np.median(angle) <= 5
+    assert np.median(angle[shaded]) <= 5
+
+
+def test_an_open_wall_is_open() -> None:
+    found = ambient_occlusion(ShadowScene(Z=WALL, N=TO_CAMERA, camera=CAMERA), radius_m=1.0)
+    assert (found.ao == 1).all()
+    np.testing.assert_array_equal(found.bent, TO_CAMERA)

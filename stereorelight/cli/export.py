@@ -1,4 +1,4 @@
-"""`stereorelight export`: a rig in another package's words, or as ST-maps; and foreign rigs in ours."""
+"""`stereorelight export`: a rig in another package's words, or as ST-maps; foreign rigs in ours; and the seen surface as PLY."""
 
 from __future__ import annotations
 
@@ -13,13 +13,17 @@ from stereorelight.cli.common import FILE, force_option, json_option, report, sa
 if TYPE_CHECKING:
     from stereorelight.camera import Rig
 
-TARGETS = ("stereorelight", "opencv", "kalibr", "mrcal", "ros", "meshroom", "stmap")
+TARGETS = ("stereorelight", "opencv", "kalibr", "mrcal", "ros", "meshroom", "stmap", "ply")
 
 
 @click.command("export")
-@click.argument("source", nargs=-1, required=True, type=FILE, metavar="RIG... | SHOT.toml")
+@click.argument("source", nargs=-1, required=True, type=FILE, metavar="RIG... | SHOT.toml | PASSES.exr")
 @click.option(
-    "--to", "target", required=True, type=click.Choice(TARGETS), help="The package; stereorelight: our own rig.json; stmap: EXR maps for Nuke."
+    "--to",
+    "target",
+    required=True,
+    type=click.Choice(TARGETS),
+    help="The package; stereorelight: our own rig.json; stmap: EXR maps for Nuke; ply: the surface.",
 )
 @click.option("--out", "path", required=True, type=FILE, metavar="FILE", help="mrcal, ros and stmap write NAME_left and NAME_right for NAME.")
 @click.option("--size", metavar="WxH", help="Size of the pictures, where the source does not say it (OpenCV).")
@@ -29,6 +33,11 @@ TARGETS = ("stereorelight", "opencv", "kalibr", "mrcal", "ros", "meshroom", "stm
 @click.option("--flipped-back", is_flag=True, help="The mirrored eye's plates will be flipped back before the other package sees them.")
 @click.option("--overscan", type=float, metavar="SHARE", help="stmap: add so much of the plate on each side; what holds every pixel when left out.")
 @click.option("--rectify", is_flag=True, help="stmap: also maps to the rectified pair and back.")
+@click.option("--points", is_flag=True, help="ply: points alone, without triangles.")
+@click.option("--plate", metavar="FILE", help="ply: the plate that colours the points of PASSES.exr; a shot knows its own.")
+@click.option("--min-confidence", type=click.FloatRange(0, 1), default=0.0, help="ply: leave out what depth is less sure of.")
+@click.option("--rig", "rig_path", type=FILE, metavar="RIG", help="ply: with LEFT.exr RIGHT.exr, both eyes' points brought together.")
+@click.option("--frames", metavar="A-B", help="ply: frames of a shot; FILE is then a pattern.")
 @force_option
 @json_option
 def command(
@@ -40,6 +49,11 @@ def command(
     flipped_back: bool,
     overscan: float | None,
     rectify: bool,
+    points: bool,
+    plate: str | None,
+    min_confidence: float,
+    rig_path: Path | None,
+    frames: str | None,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -47,7 +61,15 @@ def command(
 
     RIG is a file of ours, OpenCV, Kalibr, mrcal, ROS or Meshroom, told by what it holds; two files, LEFT and RIGHT, where
     there is one an eye.  What the other package cannot say is refused.
+
+    --to ply writes the surface that a Z or P pass shows, cut at depth edges; a shot's own, once it has been run.
     """
+    of_surface = points or plate or min_confidence or rig_path or frames
+    if target == "ply":
+        _surface(source, path, points, plate, min_confidence, rig_path, frames, force=force, as_json=as_json)
+        return
+    if of_surface:
+        raise click.UsageError("--points, --plate, --min-confidence, --rig and --frames belong to --to ply")
     if target != "stmap" and (overscan is not None or rectify):
         raise click.UsageError("--overscan and --rectify belong to --to stmap")
     rig = _rig(source, _size(size), unit_m, as_json=as_json)
@@ -88,3 +110,34 @@ def _size(text: str | None) -> tuple[int, int] | None:
     if not (m := re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text.strip())):
         raise click.UsageError(f"--size must be such as 1920x1080, got {text!r}")
     return int(m[1]), int(m[2])
+
+
+def _surface(
+    source: tuple[Path, ...],
+    path: Path,
+    points: bool,
+    plate: str | None,
+    least: float,
+    rig_path: Path | None,
+    frames: str | None,
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    from stereorelight.shot.clouds import export_merged, export_shot, export_surface
+
+    if source[0].suffix.lower() == ".toml":
+        if len(source) > 1 or plate or rig_path:
+            raise click.UsageError("a shot stands alone, and knows its own plates and rig")
+        made = export_shot(source[0], path, frames=frames, mesh=not points, least_confidence=least, force=force)
+    elif len(source) == 2:
+        if rig_path is None or plate:
+            raise click.UsageError("LEFT.exr RIGHT.exr need --rig, which says how the eyes stand, and take no --plate")
+        made = [export_merged(source[0], source[1], rig_path, path, least_confidence=least, force=force)]
+    elif len(source) == 1 and rig_path is None and frames is None:
+        made = [export_surface(source[0], path, plate=plate, mesh=not points, least_confidence=least, force=force)]
+    else:
+        raise click.UsageError("--to ply takes PASSES.exr, or LEFT.exr RIGHT.exr with --rig, or SHOT.toml")
+    first = made[0]
+    where = str(first["file"]) if len(made) == 1 else f"{len(made)} files, first {first['file']}"
+    report({"to": "ply", "files": made}, f"export: {first['points']} points, {first['triangles']} triangles -> {where}", as_json=as_json)

@@ -82,6 +82,29 @@ def _targets(n, x, y, sample, offsets, q, px, py, pz, nx, ny, nz, lift, sx, sy, 
 
 
 @kernel()
+def _straight(n, lx_, ly_, lz_, w, px, py, pz, nx, ny, nz, lift, sx, sy, sz, lx, ly, lz, far, weight):
+    """`_targets` of a light without a size."""
+    for i in range(n):
+        ox = px[i] + nx[i] * lift[i]
+        oy = py[i] + ny[i] * lift[i]
+        oz = pz[i] + nz[i] * lift[i]
+        tx = lx_ - w * ox
+        ty = ly_ - w * oy
+        tz = lz_ - w * oz
+        d2 = tx * tx + ty * ty + tz * tz + f4(1e-12)
+        r = f4(1) / math.sqrt(d2)
+        front = (nx[i] * tx + ny[i] * ty + nz[i] * tz) * r
+        sx[i] = ox
+        sy[i] = -oy
+        sz[i] = -oz if oz < f4(-1e-6) else f4(1e-6)
+        lx[i] = tx * r
+        ly[i] = -ty * r
+        lz[i] = -tz * r
+        far[i] = d2 * r if w > f4(0) else f4(1e9)
+        weight[i] = front if front > f4(0) else f4(0)
+
+
+@kernel()
 def _rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, half, weight, u, v, k, du, dv, dk, pixels, above, lost, lit):
     """The rays in the picture: start and whole extent in pixels and inverse depth, cut where they leave the frame or are nearer than `near`.
 
@@ -100,17 +123,17 @@ def _rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, h
         u0 = sx[i] * k0 * fx + cx
         v0 = sy[i] * k0 * fy + cy
         # A start that was lifted over the border of the grid stays on it: nothing may be looked up beyond.
-        u0 = u0 if u0 > f4(1) else f4(1)
+        u0 = u0 if u0 > f4(1.001) else f4(1.001)
         u0 = u0 if u0 < width else width
-        v0 = v0 if v0 > f4(1) else f4(1)
+        v0 = v0 if v0 > f4(1.001) else f4(1.001)
         v0 = v0 if v0 < height else height
         k1 = f4(1) / (z + c * t)
         a = (sx[i] + lx[i] * t) * k1 * fx + cx - u0
         b = (sy[i] + ly[i] * t) * k1 * fy + cy - v0
         e = k1 - k0
         # The share of the ray that lies in the frame.
-        room_u = (width - u0) if a > f4(0) else u0 - f4(1)
-        room_v = (height - v0) if b > f4(0) else v0 - f4(1)
+        room_u = (width - u0) if a > f4(0) else u0 - f4(1.001)
+        room_v = (height - v0) if b > f4(0) else v0 - f4(1.001)
         room_u = room_u if room_u > f4(0) else f4(0)
         room_v = room_v if room_v > f4(0) else f4(0)
         abs_u = abs(a) + f4(1e-9)
@@ -127,8 +150,8 @@ def _rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, h
         b = b if good else f4(0)
         length = abs(a) if abs(a) > abs(b) else abs(b)
         longest = length if length > longest else longest
-        u[i] = u0 if good else f4(1)
-        v[i] = v0 if good else f4(1)
+        u[i] = u0 if good else f4(1.5)
+        v[i] = v0 if good else f4(1.5)
         k[i] = k0 + half[i]
         du[i] = a
         dv[i] = b
@@ -161,7 +184,7 @@ def _step(n, at, columns, thick, grid, u, v, k, du, dv, dk, index, found, above,
         still = f4(0) if hit else lit[i]
         cross = still if behind * above[i] < f4(0) else f4(0)
         above[i] = behind
-        crossed[i] = cross
+        crossed[i] = np.uint8(1) if cross > f4(0) else np.uint8(0)
         lit[i] = still
         left += still
         many += cross
@@ -169,14 +192,18 @@ def _step(n, at, columns, thick, grid, u, v, k, du, dv, dk, index, found, above,
 
 
 @kernel()
-def _through(n, at, step, columns, grid, reach, u, v, du, dv, pixels, index, found, crossed, lit):
+def _through(n, at, step, columns, grid, reach, u, v, du, dv, pixels, index, found, crossed, words, lit):
     """Stop the rays that changed sides along a surface that hangs together: its depth changed no more than it does about there anyway.
 
-    There are few: one by one.  Returns how many were stopped."""
+    There are few: one by one, eight looked for at a time in `words`, the bytes of `crossed`.  Returns how many were stopped."""
     last = at - step
     stopped = f4(0)
-    for i in range(n):
-        if crossed[i] > f4(0):
+    for word in range((n + 7) // 8):
+        if words[word] == 0:
+            continue
+        for i in range(8 * word, min(8 * word + 8, n)):
+            if crossed[i] == 0:
+                continue
             here = index[i]
             there = i4(v[i] + dv[i] * last) * columns + i4(u[i] + du[i] * last)
             long = pixels[i] * step
@@ -223,11 +250,13 @@ def _split(n, P, N, lift, px, py, pz, nx, ny, nz):
 def _rows(first, end, P, N, lift, half, asked, partly, grid, reach, columns, fx, fy, cx, cy, near, nearest, thick, q, offsets, steps, lit, unknown):
     """Rows first..end; P, N are (H, 3 W); grid is flat with a border of one cell, `columns` wide; cx, cy hold the border and half a pixel."""
     W = N.shape[1] // 3
-    T = np.empty((30, STRIP + 16), np.float32)
+    T = np.empty((29, STRIP + 16), np.float32)
     px, py, pz, nx, ny, nz, sx, sy, sz, lx, ly, lz = T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9], T[10], T[11]
     far, weight, u, v, k, du, dv, dk, pixels, lost, hidden = T[12], T[13], T[14], T[15], T[16], T[17], T[18], T[19], T[20], T[21], T[22]
-    found, going, shone, doubt, total, above, crossed = T[23], T[24], T[25], T[26], T[27], T[28], T[29]
+    found, going, shone, doubt, total, above = T[23], T[24], T[25], T[26], T[27], T[28]
     index = np.empty(STRIP + 16, np.int32)
+    words = np.zeros(STRIP // 8, np.uint64)
+    crossed = words.view(np.uint8)
     samples = offsets.shape[1]
     width = f4(columns - 1) - f4(0.001)
     height = f4(grid.shape[0] // columns - 1) - f4(0.001)
@@ -240,7 +269,10 @@ def _rows(first, end, P, N, lift, half, asked, partly, grid, reach, columns, fx,
             total[:] = f4(0)
             halves = half[y, x : x + n]
             for sample in range(samples):
-                _targets(n, x, y, sample, offsets, q, px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
+                if samples == 1 and q[BALL] == f4(0) and q[RECTANGLE] == f4(0) and offsets[0, 0, 0] == f4(0):
+                    _straight(n, q[0], q[1], q[2], q[3], px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
+                else:
+                    _targets(n, x, y, sample, offsets, q, px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
                 if partly:
                     wanted = asked[y, x : x + n]
                     for i in range(n):
@@ -256,7 +288,7 @@ def _rows(first, end, P, N, lift, half, asked, partly, grid, reach, columns, fx,
                     at = f4(s) * step
                     left, many = _step(n, at, columns, thick, grid, u, v, k, du, dv, dk, index, found, above, crossed, going, hidden)
                     if many > f4(0):
-                        left -= _through(n, at, step, columns, grid, reach, u, v, du, dv, pixels, index, found, crossed, going)
+                        left -= _through(n, at, step, columns, grid, reach, u, v, du, dv, pixels, index, found, crossed, words, going)
                     if left < f4(0.5):
                         break
                 _gather(n, nearest, k, dk, lost, going, hidden, weight, shone, doubt, total)

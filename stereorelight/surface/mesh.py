@@ -30,11 +30,13 @@ class Mesh:
     vertices  : (n, 3) float32, metres; the first H * W are the pixels' own P, row by row, NaN where unknown and then in no triangle.
     triangles : (m, 3) int32; those of the seen sheet come first, and turn counter-clockwise to the camera.
     seen      : how many triangles are of the seen sheet; the others close it behind.
+    pixel     : (n,) the pixel that each vertex belongs to, row by row.
     """
 
     vertices: Float32
     triangles: Int32
     seen: int
+    pixel: npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,7 +179,7 @@ def mesh_from_depth(
         raise PassError(f"thickness must be >= 0 metres, got {float(np.nanmin(thick)):g}; 0 is a thin sheet")
     centres = _place(slopes, inverse).reshape(-1, 3)
     if h < 2 or w < 2:
-        return Mesh(vertices=centres, triangles=np.empty((0, 3), np.int32), seen=0)
+        return Mesh(vertices=centres, triangles=np.empty((0, 3), np.int32), seen=0, pixel=np.arange(h * w))
     whole = linked.across[:-1] & linked.across[1:] & linked.down[:, :-1] & linked.down[:, 1:]
     y, x = np.nonzero(whole)
     tl = (y * w + x).astype(np.int32)
@@ -189,16 +191,16 @@ def mesh_from_depth(
     rim = _Rim(inverse, slopes, linked, whole, h * w)
     sheet = np.concatenate([first, second, rim.triangles])
     vertices = np.concatenate([centres, _place(rim.slopes, rim.inverse)])
+    pixel = np.concatenate([np.arange(h * w), rim.pixel])
     if not thick.any():
-        return Mesh(vertices=vertices, triangles=sheet, seen=len(sheet))
-    pixel = np.concatenate([np.arange(h * w), rim.pixel])  # whose thickness a vertex has
+        return Mesh(vertices=vertices, triangles=sheet, seen=len(sheet), pixel=pixel)
     back = 1 / (1 / np.concatenate([flat, rim.inverse]) + np.nan_to_num(thick.reshape(-1))[pixel])
     behind = _place(np.concatenate([slopes.reshape(-1, 2), rim.slopes]), back)
     shift = np.int32(len(vertices))
     a, b = rim.outer[:, 0], rim.outer[:, 1]
     walls = np.concatenate([np.stack([a, b, b + shift], -1), np.stack([a, b + shift, a + shift], -1)])
     triangles = np.concatenate([sheet, sheet[:, ::-1] + shift, walls])
-    return Mesh(vertices=np.concatenate([vertices, behind]), triangles=triangles, seen=len(sheet))
+    return Mesh(vertices=np.concatenate([vertices, behind]), triangles=triangles, seen=len(sheet), pixel=np.concatenate([pixel, pixel]))
 
 
 class _Rim:
