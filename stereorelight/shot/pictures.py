@@ -88,7 +88,7 @@ def relit_pictures(job: FrameJob) -> dict[str, UInt8]:
         made[light] = shown(np.sum(parts, axis=0, dtype=np.float32), job.shot)
     if around := [layer for name, layer in job.lit.layers.items() if name.startswith(AROUND)]:
         made["environment"] = shown(np.sum(around, axis=0, dtype=np.float32), job.shot)
-    made |= {name: shown(layer, job.shot) for name, layer in job.lit.layers.items() if name.startswith(PAINT)}
+    made |= {name: shown(np.abs(layer), job.shot) for name, layer in job.lit.layers.items() if name.startswith(PAINT)}  # ink takes away
     if job.lit.trust is not None:
         made["trust"] = preview.confidence_picture(job.lit.trust)
     made["relit"] = shown(job.lit.beauty, job.shot)
