@@ -77,7 +77,7 @@ def test_a_spot_on_a_slab_falls_as_the_published_profile() -> None:
         expected, peak = np.interp(r, far, truth), truth.max()
         assert np.abs(made[..., channel] - expected).max() < 0.04 * peak  # on the rim, which pixels blur
         off = (np.abs(r - 2) > 0.7) & (expected > 3e-3 * peak)  # the last tail, of whole cells, is off by up to a quarter
-        assert off.sum() > 2000
+        assert off.sum() > 1500
         assert np.abs(made[..., channel] - expected)[off].max() < 0.015 * peak
         ratio = made[..., channel][off] / expected[off]
         assert np.abs(np.median(ratio) - 1) < 0.03

@@ -75,8 +75,9 @@ def command(
     from stereorelight.shot.depths import read_surface
     from stereorelight.shot.lighting import lighting_of
     from stereorelight.shot.pairs import FLIPPED
+    from stereorelight.shot.plate_light import Reference
     from stereorelight.shot.schema import read_light_file
-    from stereorelight.shot.steps import relight_figures
+    from stereorelight.shot.steps import plate_light_figures, relight_figures
     from stereorelight.shot.truths import Stated, unit_of
 
     stated = Stated(metres=None if unit is None else unit_of(unit), axes=axes)
@@ -91,7 +92,18 @@ def command(
         light_on = pictures.read(number)
         return np.ascontiguousarray(light_on[:, ::-1]) if flipped else light_on
 
-    lighting = lighting_of(setup, numbers=pictures.frames, plate=upright)
+    def reference() -> Reference:
+        """The frame that speaks for the plate's own light, whichever frames are asked for: the one named, else the middle one."""
+        both = plate_frames(pictures, surfaces, None)
+        number = setup.relight.albedo_frame if setup.relight.albedo_frame in both else both[len(both) // 2]
+        frame = read_frame(surfaces.path(number))
+        light_on = pictures.read(number)
+        light_on = np.ascontiguousarray(light_on[:, ::-1]) if frame.metadata.get(FLIPPED) else light_on
+        camera = None if frame.camera is None else lighting.camera(frame.camera, number)
+        held = lighting.mattes(number, frame, camera, {name.removeprefix("matte_"): frame[name] for name in frame if name.startswith("matte_")})
+        return Reference(number=number, plate=light_on, passes=frame, camera=camera, mattes=held)
+
+    lighting = lighting_of(setup, numbers=pictures.frames, plate=upright, reference=(reference, lambda: None))
     lighting.check(numbers)
     paths = outputs_for(out, numbers, force=force)
     previews = outputs_for(preview, numbers, force=force) if preview else [None] * len(numbers)
@@ -123,7 +135,7 @@ def command(
                 write_still(picture, plate_picture(lit.beauty), force=force)
             if doubt and lit.trust is not None:
                 write_still(doubt, confidence_picture(lit.trust), force=force)
-            results.append({"frame": number, "file": str(path), **relight_figures(lit.layers, lit.beauty)})
+            results.append({"frame": number, "file": str(path), **relight_figures(lit.layers, lit.beauty), **plate_light_figures(lit)})
             if said := frame.metadata.get("passes_are"):
                 results[-1]["passes_are"] = said
             bar.note(path.name, advance=1)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from stereorelight.arrays import Float32
-from stereorelight.errors import OutputError
+from stereorelight.errors import OutputError, ShotError
 from stereorelight.footage.eyes import Eyes
 from stereorelight.footage.preview import depth_range
 from stereorelight.interchange.rigs import files_of, read_rig, rig_to_dict
@@ -22,6 +22,7 @@ from stereorelight.shot.lighting import Lighting, lighting_of
 from stereorelight.shot.mend import MendedRectification, Mends
 from stereorelight.shot.neighbours import Neighbours
 from stereorelight.shot.pairs import EYES, Pair, eyes_of_shot, pairs_of
+from stereorelight.shot.plate_light import Reference
 from stereorelight.shot.receipt import Receipt, code_digest, digest, file_digest, versions
 from stereorelight.shot.repairs import Repairs
 from stereorelight.shot.schema import Shot, read_shot
@@ -93,7 +94,34 @@ class Prepared:
             digest=lambda number: pairs[number].digest("left"),
             colour=self.shot.colour,
             rig=self.rectification.original,
+            reference=self._reference(),
         )
+
+    def _reference(self) -> tuple[Callable[[], Reference], Callable[[], Any]] | None:
+        """The frame that speaks for the plate's own light: the one asked for, else the middle of the whole shot; and what it depends on."""
+        knobs = self.shot.setup.relight
+        if knobs.albedo == "plate":
+            return None
+        at = {pair.number: pair for pair in self.whole}
+        if knobs.albedo_frame is not None and knobs.albedo_frame not in at:
+            have = f"{self.whole[0].number}-{self.whole[-1].number}" if self.whole[0].number is not None else "a single picture: leave it out"
+            raise ShotError(f"{self.shot.path}: relight: albedo_frame {knobs.albedo_frame} is not in the shot, which has {have}")
+        pair = self.whole[len(self.whole) // 2] if knobs.albedo_frame is None else at[knobs.albedo_frame]
+
+        def made() -> Reference:
+            # Made anew from its plates, whether its files are there or not: a part of the shot gives what the whole gives.
+            job = FrameJob(shot=self.shot, rectification=self.rigs.of(pair), pair=pair, repairs=self.repairs, near=self.near, lighting=self.lighting)
+            job.recovered()
+            job.made_surface()
+            return Reference(number=pair.number, plate=job.plate, passes=job.lit_passes(), camera=job.posed_camera)
+
+        def key() -> Any:
+            near = [[k, *digests, self.mends.values.get(other.name)] for k, (other, digests) in self.near.inputs_about(pair).items()]
+            repaired = None if self.repairs is None else self.repairs.key(pair)
+            files = [file_digest(self.lighting._path(name, pair.number)) for name in self.shot.setup.files_at(pair.number)]
+            return [pair.digest("left"), pair.digest("right"), near, repaired, self.mends.values.get(pair.name), files]
+
+        return made, key
 
     @functools.cached_property
     def repairs(self) -> Repairs | None:

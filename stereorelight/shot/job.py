@@ -16,7 +16,8 @@ from stereorelight.errors import PassError
 from stereorelight.footage.frames import read_frame, write_frame
 from stereorelight.passes import Frame
 from stereorelight.shot.depths import shaded, surface_of
-from stereorelight.shot.lighting import Lighting, Lit
+from stereorelight.shot.lighting import Lighting
+from stereorelight.shot.lit import Lit
 from stereorelight.shot.neighbours import Neighbours, search_figures
 from stereorelight.shot.pairs import Pair, flip_word, read_upright, recover_pair
 from stereorelight.shot.repairs import Repairs
@@ -166,7 +167,11 @@ class FrameJob:
     @cached_property
     def lit(self) -> Lit:
         """Every light's own layers, the relit plate, and what goes with it."""
-        wanted = ["confidence"] if self.shot.tables.relight.fade > 0 else []
-        wanted += ["Z_sigma", "flags"] if self.shot.setup.casts else []
-        more = {name: self.depth[name] for name in wanted if name in self.depth}
-        return self.lights.lit(self.pair.number, plate=self.plate, passes={**self.surface, **more}, camera=self.posed_camera)
+        return self.lights.lit(self.pair.number, plate=self.plate, passes=self.lit_passes(), camera=self.posed_camera)
+
+    def lit_passes(self) -> dict[str, Any]:
+        """The passes that light reads: those of the surface, and of the depth what is asked for."""
+        asked = self.shot.setup
+        wanted = ["confidence"] if asked.relight.fade > 0 or asked.relight.albedo == "estimated" else []
+        wanted += ["Z_sigma", "flags"] if asked.casts or asked.relight.albedo == "estimated" or asked.relight.edges else []
+        return {**self.surface, **{name: self.depth[name] for name in wanted if name in self.depth}}

@@ -22,7 +22,7 @@ from stereorelight.footage.plates import read_plate
 from stereorelight.footage.sequence import Sequence as Pattern
 from stereorelight.passes import Frame
 from stereorelight.shot.judge import NAMED, Judged, Told, frames_of
-from stereorelight.shot.lighting import matte_channel
+from stereorelight.shot.matte_files import matte_channel
 
 VIEWED = "specular"  # layers of that name look different from each eye
 RANKED = {"picture": "relative_rms", "stereo": "eyes_rms"}

@@ -17,15 +17,14 @@ import numpy.typing as npt
 from stereorelight.arrays import Float32
 from stereorelight.camera import Camera, Rig
 from stereorelight.comp import faded, light_alpha, relight, trust
-from stereorelight.errors import PassError, PlateError, ShotError, nearest_hint
+from stereorelight.errors import PassError, PlateError, ShotError
 from stereorelight.footage.colour import ColourSettings
-from stereorelight.footage.exr import find_channel, read_exr
 from stereorelight.footage.plates import read_plate
 from stereorelight.footage.sequence import Sequence as Pattern
-from stereorelight.footage.stills import read_still
 from stereorelight.interchange.poses import Poses, of_left_eye, read_poses
 from stereorelight.light.animate import LightTrack, Stuck
 from stereorelight.light.checks import Vector
+from stereorelight.light.edges import parted, parting
 from stereorelight.light.environment import Environment, environment_layers
 from stereorelight.light.environment_settings import EnvironmentSettings
 from stereorelight.light.gobo import gobo_factor
@@ -35,6 +34,9 @@ from stereorelight.light.painted import LitSphere, Outline, Paint, Toon, inked, 
 from stereorelight.light.place import place_of
 from stereorelight.light.shade import group_layers, light_layers
 from stereorelight.light.subsurface import scatter_layers, scatters
+from stereorelight.shot.lit import Lit, both_sides
+from stereorelight.shot.matte_files import matte_channel
+from stereorelight.shot.plate_light import PlateLights, Reference
 from stereorelight.shot.points import Points
 from stereorelight.shot.receipt import file_digest
 from stereorelight.shot.setup import Setup
@@ -42,63 +44,6 @@ from stereorelight.shot.shadows import Casting, shadow_layers
 from stereorelight.surface.occlusion import Occlusion
 
 Array = npt.NDArray[Any]
-NEARLY = 0.01  # filters in other packages leave mattes a hair beyond 0 and 1
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Lit:
-    """A frame under its lights.
-
-    layers : every light's own, the same names on every frame.     beauty : the relit plate, or light alone.
-    alpha  : of light alone, else None.                            trust  : what light was faded by, else None.
-    groups : sums of layers by the lights' `group`; part of no beauty.
-    shadows : of every light that casts one, apart: `shadow_<name>`, and `shadow_<name>_unknown`, (H, W); part of no beauty.
-    surface : ao and bent, where they are asked for.
-    """
-
-    layers: dict[str, Float32]
-    beauty: Float32
-    alpha: Float32 | None = None
-    trust: Float32 | None = None
-    groups: dict[str, Float32] = field(default_factory=dict)
-    shadows: dict[str, Float32] = field(default_factory=dict)
-    surface: dict[str, Float32] = field(default_factory=dict)
-
-    def passes(self) -> dict[str, Float32]:
-        """All of it as passes of a file."""
-        more = {"alpha": self.alpha, "matte_trust": self.trust}
-        told = {name: array for name, array in more.items() if array is not None}
-        return {"beauty": self.beauty, **told, **self.layers, **self.groups, **self.shadows, **self.surface}
-
-
-def matte_channel(path: Path, channel: str | None) -> Float32:
-    """(H, W) of a picture's channel, 0..1.  Raises PlateError naming file and channels.
-
-    channel : None takes a layer `matte_*` or the alpha where there is one, else the mean of the picture.
-    """
-    if path.suffix.lower() == ".exr":
-        parts = read_exr(path)
-        names = list(dict.fromkeys(name for part in parts for name in part.channels))
-        wanted = [channel, *(f"{channel}.{letter}" for letter in "YARVX")] if channel else [*(n for n in names if n.startswith("matte_")), "A", "Y"]
-        found = next((plane for name in wanted if (plane := find_channel(parts, name)) is not None), None)
-        if found is None and not channel and {"R", "G", "B"} <= set(names):
-            colours = [plane for letter in "RGB" if (plane := find_channel(parts, letter)) is not None]
-            found = np.stack(colours).mean(axis=0)
-    else:
-        still = read_still(path)
-        planes = {**dict(zip("RGB", np.moveaxis(still.rgb, -1, 0))), **({} if still.alpha is None else {"A": still.alpha})}
-        names = list(planes)
-        found = planes.get(channel) if channel else planes.get("A", still.rgb.mean(axis=-1))
-    if found is None:
-        told = (
-            f"has no channel {channel!r}{nearest_hint(channel, names)}"
-            if channel
-            else f"has no matte, only {', '.join(names[:12])}; name its channel"
-        )
-        raise PlateError(f"{path}: {told}")
-    with np.errstate(invalid="ignore"):
-        near = np.where((found > -NEARLY) & (found < 1 + NEARLY), np.clip(found, 0, 1), found)
-    return np.ascontiguousarray(near, dtype=np.float32)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -108,6 +53,7 @@ class Lighting:
     colour : of the plates; gobos are read into the same working space.      rig : for poses of the right eye.
     points : the picture points that lights go with; without it only those that are not tracked.
     digest : sha256 of a frame's left plate, for the keys of tracked points.
+    reference : the frame that speaks for the plate's own light (the first that is lit where None), and plain values that stand for it.
     """
 
     setup: Setup
@@ -115,8 +61,25 @@ class Lighting:
     rig: Rig | None = None
     points: Points | None = None
     digest: Callable[[int], str] | None = None
+    reference: tuple[Callable[[], Reference], Callable[[], Any]] | None = None
     _pictures: dict[Path, Float32] = field(default_factory=dict)
     _maps: dict[Any, Environment] = field(default_factory=dict)
+
+    @cached_property
+    def plate_lights(self) -> PlateLights:
+        """The light that the plates were shot in, where it is asked for."""
+
+        def mattes(frame: Reference) -> dict[str, Float32]:
+            return self.mattes(frame.number, frame.passes, frame.camera)
+
+        return PlateLights(
+            self.setup.relight,
+            path=self.setup.path,
+            file=self._path,
+            colour=self.colour,
+            reference=None if self.reference is None else self.reference[0],
+            mattes=mattes,
+        )
 
     @cached_property
     def poses(self) -> Poses | None:
@@ -169,7 +132,9 @@ class Lighting:
         for track, stuck in self._stuck():
             if self.points is not None and self.digest is not None and not track.dark(number):
                 ways.append([self.digest(n) for n in self.points.way(stuck, number)])
-        return [files, pose, ways] if files or pose or any(ways) else None
+        asked = self.plate_lights.asked and self.reference is not None
+        told = [self.reference[1]()] if asked and self.reference is not None else []
+        return [files, pose, ways, *told] if files or pose or any(ways) or told else None
 
     def lights(self, number: int | None, P: Array, camera: Camera | None) -> list[Light]:
         """The lights of a frame.  Raises ShotError naming light and frame."""
@@ -192,12 +157,21 @@ class Lighting:
         return found
 
     def mattes(
-        self, number: int | None, passes: Mapping[str, Array], camera: Camera | None, given: Mapping[str, npt.ArrayLike] | None = None
+        self,
+        number: int | None,
+        passes: Mapping[str, Array],
+        camera: Camera | None,
+        given: Mapping[str, npt.ArrayLike] | None = None,
+        whole: Mapping[str, Float32] | None = None,
     ) -> dict[str, Float32]:
-        """The mattes of a frame by name.  Raises ShotError, PlateError, PassError."""
+        """The mattes of a frame by name; `whole` takes the place of some that are given or of files.  Raises ShotError, PlateError, PassError."""
         size_hw = passes["P"].shape[:2]
+        stead = whole or {}
+        given = {name: stead.get(name, array) for name, array in (given or {}).items()}
 
         def read(matte: FileMatte) -> Float32:
+            if matte.name in stead:
+                return 1 - stead[matte.name] if matte.invert else stead[matte.name]
             path = self._path(matte.file, number)
             array = matte_channel(path, matte.channel)
             if array.shape != size_hw:
@@ -295,10 +269,37 @@ class Lighting:
         Raises : ShotError, PassError, PlateError, RigError.
         """
         knobs = self.setup.relight
-        P, N = passes["P"], passes["N"]
-        lights = self.lights(number, P, camera)
+        lights = self.lights(number, passes["P"], camera)
         mattes = self.mattes(number, passes, camera, given)
-        albedo = np.ones_like(plate) if knobs.mode == "multiply" else plate
+        try:
+            cover, unsure = parting(plate, passes, mattes, edges=knobs.edges, edge_px=knobs.edge_px)
+            sides = None if cover is None else parted(plate, cover, passes, edge_px=knobs.edge_px, unsure=unsure)
+        except (PassError, ShotError) as error:
+            raise type(error)(f"{self.setup.path}: {error}") from None
+        if cover is None or sides is None:
+            return self._lit(number, plate, passes, camera, lights, mattes)
+        found = []
+        for side, whole in zip(sides, (1.0, 0.0)):
+            # The matte says which side a pixel is of: on its own side the subject is whole, on the other it is not there.
+            own = {str(knobs.edges): np.full(cover.shape, whole, np.float32)} if knobs.edges != "depth" else {}
+            held = self.mattes(number, side.passes, camera, given, whole=own)
+            found.append(self._lit(number, side.plate, side.passes, camera, lights, held))
+        return both_sides(found[0], found[1], sides, cover, plate, knobs)
+
+    def _lit(
+        self,
+        number: int | None,
+        plate: Float32,
+        passes: Mapping[str, Array],
+        camera: Camera | None,
+        lights: Sequence[Light],
+        mattes: Mapping[str, Float32],
+    ) -> Lit:
+        """The frame, or one side of it, under lights that have found their places."""
+        knobs = self.setup.relight
+        P, N = passes["P"], passes["N"]
+        colour = self.plate_lights.colour_of(Reference(number=number, plate=plate, passes=passes, camera=camera, mattes=mattes))
+        albedo = colour.albedo
         materials = self.setup.materials_at(number)
         paints = self.setup.painted_at(number)
         casting = Casting(shadows=self.setup.shadows, passes=passes, camera=camera, mattes=mattes)
@@ -342,6 +343,8 @@ class Lighting:
                 made["env_diffuse"] *= albedo
             layers |= made
         layers |= self._painted(paints, number, passes, albedo, mattes, shading)
+        if colour.exposure != 1:
+            layers = {n: layer * np.float32(colour.exposure) if n.startswith(("light_", "env_")) else layer for n, layer in layers.items()}
         # The same layers on every frame, in one order: a light or a highlight that is off on this frame alone is black.
         layers = {name: layers[name] if name in layers else np.zeros_like(plate) for name in self.setup.layer_names}
         trusted = None
@@ -372,6 +375,7 @@ class Lighting:
             alpha=alpha,
             trust=trusted,
             groups=group_layers(layers, lights),
+            colour=colour if self.plate_lights.asked else None,
             shadows=shadow_layers(self.setup.shadow_names, thrown, (plate.shape[0], plate.shape[1])),
             surface={} if seen is None else {"ao": seen.ao, "bent": seen.bent},
         )
@@ -385,8 +389,12 @@ def lighting_of(
     digest: Callable[[int], str] | None = None,
     colour: ColourSettings | None = None,
     rig: Rig | None = None,
+    reference: tuple[Callable[[], Reference], Callable[[], Any]] | None = None,
 ) -> Lighting:
-    """The lighting of a shot whose frames are `numbers`, with their upright left plates for the points that lights go with."""
+    """The lighting of a shot whose frames are `numbers`, with their upright left plates for the points that lights go with.
+
+    reference : as `Lighting` has it.
+    """
     stuck = [stuck for track in setup.lights for stuck in track.moving.stuck.values()]
     points = Points(stuck=stuck, numbers=sorted(numbers), plate=plate) if stuck else None
-    return Lighting(setup=setup, colour=colour, rig=rig, points=points, digest=digest)
+    return Lighting(setup=setup, colour=colour, rig=rig, points=points, digest=digest, reference=reference)

@@ -77,7 +77,8 @@ def relit_names(shot: Shot) -> list[str]:
     around = ["environment"] if any(name.startswith(AROUND) for name in shot.setup.layer_names) else []
     around += [name for name in shot.setup.layer_names if name.startswith(PAINT)]
     trust = ["trust"] if shot.tables.relight.fade > 0 else []
-    return [*_lights(shot), *around, *trust, "relit", "before_after", "contact"]
+    own = ["plate_light", "albedo"] if shot.setup.relight.albedo == "estimated" and shot.setup.relight.mode != "multiply" else []
+    return [*_lights(shot), *around, *trust, *own, "relit", "before_after", "contact"]
 
 
 def relit_pictures(job: FrameJob) -> dict[str, UInt8]:
@@ -91,6 +92,9 @@ def relit_pictures(job: FrameJob) -> dict[str, UInt8]:
     made |= {name: shown(np.abs(layer), job.shot) for name, layer in job.lit.layers.items() if name.startswith(PAINT)}  # ink takes away
     if job.lit.trust is not None:
         made["trust"] = preview.confidence_picture(job.lit.trust)
+    if job.lit.colour is not None and job.lit.colour.light is not None:
+        made["plate_light"] = shown(job.lit.colour.light.ball(), job.shot)
+        made["albedo"] = shown(job.lit.colour.albedo, job.shot)
     made["relit"] = shown(job.lit.beauty, job.shot)
     scene = scene_pictures(job)
     made["before_after"] = preview.before_after(scene["plate"], made["relit"])

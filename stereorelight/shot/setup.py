@@ -48,6 +48,14 @@ class RelightTable(BaseModel):
     fade: float = Field(default=0.0, ge=0, le=1)
     fade_confidence: float = Field(default=0.5, gt=0, le=1)
     fade_sigma_deg: float = Field(default=40.0, ge=1, le=180)
+    albedo: str = Field(default="plate", min_length=1)
+    albedo_matte: str | None = Field(default=None, min_length=1)
+    albedo_frame: int | None = None
+    albedo_level: float = Field(default=0.36, ge=0.01, le=1)
+    albedo_gain: float = Field(default=8.0, ge=1, le=1000)
+    match_exposure: bool = False
+    edges: str | None = Field(default=None, min_length=1)
+    edge_px: float | None = Field(default=None, ge=0, le=100)
 
 
 class ShadowsTable(BaseModel):
@@ -171,6 +179,7 @@ class Setup:
         lights, around = [track.at(frame) for track in self.lights], self.environment_at(frame)
         names = [matte.file for matte in self.mattes_at(frame) if isinstance(matte, FileMatte)]
         names += [light.gobo for light in lights if isinstance(light, SpotLight) and light.enabled and light.gobo]
+        names += [self.relight.albedo] if self.relight.albedo not in ("plate", "estimated") else []
         names += [around.file] if around is not None and around.file is not None and around.needs_map else []
         names += [paint.file for paint in self.painted_at(frame) if isinstance(paint, LitSphere)]
         return list(dict.fromkeys(names))
@@ -233,6 +242,9 @@ def checked_setup(
     for index, table in enumerate(painted):
         paints.append(_told(where, "painted", index, table, lambda table=table, index=index: _paint_over(table, index, paints, lights)))  # type: ignore[misc]
     knobs = relight or RelightTable()
+    if knobs.mode == "multiply" and (knobs.albedo != "plate" or knobs.match_exposure):
+        key = "albedo" if knobs.albedo != "plate" else "match_exposure"
+        raise ShotError(f'{where(("relight", key))}: relight: {key} has no part in mode "multiply", a gain on the plate; use mode "add"')
     try:
         setup = Setup(
             path=path,
@@ -254,6 +266,9 @@ def checked_setup(
         raise ShotError(f"{path}: {error}") from None
     if given is not None:
         known = [*given, *(str(moving.table["name"]) for moving in movings)]
+        asked = {"albedo_matte": knobs.albedo_matte, "edges": None if knobs.edges == "depth" else knobs.edges}
+        for key, name in asked.items():
+            _told(where, "relight", None, {key: name}, lambda key=key, name=name: known_mattes([name], known, f"relight: {key}"))  # type: ignore[misc]
         for index, track in enumerate(setup.lights):
             _told(where, "lights", index, track.moving.table, lambda track=track: _matte_known(track, known))  # type: ignore[misc]
         for index, moving in enumerate(surfaces):

@@ -17,6 +17,7 @@ from stereorelight.footage.colour import config_digest
 from stereorelight.footage.stills import write_still
 from stereorelight.passes import Flag, Frame
 from stereorelight.shot.job import FrameJob
+from stereorelight.shot.lit import Lit
 from stereorelight.shot.pictures import relit_names, relit_pictures, scene_names, scene_pictures
 from stereorelight.shot.receipt import file_digest
 from stereorelight.shot.schema import Shot
@@ -126,11 +127,19 @@ def _make_passes(job: FrameJob) -> Made:
     return Made(figures, lambda: job.write(job.passes_path, frame))
 
 
+def plate_light_figures(lit: Lit) -> Figures:
+    """The light that was divided out of the plate, in numbers and in words; nothing where the plate itself was lit."""
+    if lit.colour is None:
+        return {}
+    light = lit.colour.light
+    return {"exposure": round(lit.colour.exposure, 5)} | ({} if light is None else {"plate_light": light.to_dict() | {"words": light.words}})
+
+
 def _make_relit(job: FrameJob) -> Made:
     half = job.shot.tables.output.colour == "half"
     metadata = job.words("relight") | job.source_words
     frame = Frame(passes=job.lit.passes(), camera=job.posed_camera, number=job.pair.number, metadata=metadata)
-    return Made(relight_figures(job.lit.layers, job.lit.beauty), lambda: job.write(job.relit_path, frame, half=half))
+    return Made(relight_figures(job.lit.layers, job.lit.beauty) | plate_light_figures(job.lit), lambda: job.write(job.relit_path, frame, half=half))
 
 
 def _make_pictures(job: FrameJob, made: Mapping[str, UInt8]) -> Made:
@@ -166,7 +175,7 @@ STEPS: tuple[Step, ...] = (
         after=("passes",),
         rooms=(
             *("light", "surface", "comp.py", "footage", "engine", "interchange", "stereo/carry.py"),
-            *("shot/job.py", "shot/lighting.py", "shot/shadows.py", "shot/points.py"),
+            *("shot/job.py", "shot/lighting.py", "shot/shadows.py", "shot/points.py", "shot/plate_light.py", "shot/matte_files.py", "shot/lit.py"),
         ),
         settings=lambda shot: [shot.setup.tables(), shot.tables.output.colour],
         inputs=lambda job: job.lights.key(job.pair.number),
