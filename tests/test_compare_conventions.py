@@ -184,7 +184,7 @@ def test_points_and_normals_of_a_world(view: View, mirrored: bool) -> None:
     doubted = detect_normals(N, view.noisy_N)
     assert not doubted.sure
     assert "world" in doubted.words
-    assert "--pose" in doubted.doubt
+    assert "--poses" in doubted.doubt
 
 
 def test_points_of_another_camera_are_refused(view: View) -> None:

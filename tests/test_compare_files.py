@@ -156,7 +156,7 @@ def test_normals_of_others_are_understood_and_said(folder: Path, true: dict[str,
     assert "axes of a world" in " ".join(found["notes"])
     assert "slopes of its own depth" in " ".join(found["notes"])
     assert found["median_deg"] == pytest.approx(4.8, abs=1.5)
-    refused("compare", folder / "result.exr", folder / exr(layer("N", world, "XYZ"))(folder), "--what", "normals", words=("foreign.exr", "--pose"))
+    refused("compare", folder / "result.exr", folder / exr(layer("N", world, "XYZ"))(folder), "--what", "normals", words=("foreign.exr", "--poses"))
 
 
 @pytest.mark.parametrize("factor", [1.0, -1.0, 256.0])
@@ -303,6 +303,11 @@ def test_flicker_of_a_shot(shots: Path, folder: Path, tmp_path: Path) -> None:
     assert call(*files, "--gate", "Z_rms<0.1").exit_code == 1
     assert "From frame" in (tmp_path / "f.html").read_text()
     refused(*files[:4], words=("nothing tells the motion", "--plate"))
+    for number in range(1001, 1004):
+        write_frame(tmp_path / f"b.{number}.exr", Frame(passes={"beauty": plate * np.float32(1.1 if number == 1002 else 1)}), half=False)
+    relit = answer("compare", tmp_path / "b.####.exr", "--what", "flicker", "--plate", tmp_path / "p.####.exr", "--frames", "1001-1003")["flicker"]
+    assert [f["picture_rms"] > 5 for f in relit["frames"]] == [True, True]
+    assert relit["plate"]["rms_percent"] == pytest.approx(0, abs=1e-3)
     refused("compare", folder / "result.exr", "--what", "flicker", words=("single file", "pattern"), kind="PlateError")
     refused(*files, "--frames", "1001,1003", words=("no two frames in a row",), kind="PlateError")
 

@@ -290,7 +290,7 @@ def detect_normals(
         told += f", against {100 * share:.0f} % as of the camera"
         if exact or world is not None:
             return AxesReading(axes=axes, sure=True, words=told, share=of_world, next_share=share)
-        doubt = f"{told}. The camera's turn would have to be taken from what is judged: give --pose, or a truth that holds P or Z too"
+        doubt = f"{told}. The camera's turn would have to be taken from what is judged: give --poses, or a truth that holds P or Z too"
         return AxesReading(axes=axes, sure=False, words=told, doubt=doubt, share=of_world, next_share=share)
     told = f"{role}'s N has {axes.words()}: {100 * share:.0f} % fit {source} within {NORMAL_DEG:g} degrees"
     told += f", against {100 * following:.0f} % by other axes"

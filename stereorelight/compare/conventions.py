@@ -314,9 +314,9 @@ def _judged(
         if _has_unit(form.metres, units):
             form = replace(form, metres=_nearest_unit(form.metres, units))
         elif not exact:
-            doubts.append(f"one unit would be {form.metres:.4g} m, which is no unit: state it with --unit")
+            doubts.append(f"one unit would be {form.metres:.4g} m, which is no unit")
     elif not exact:
-        doubts.append(f"its ends would have to be taken from {reference}: state them")
+        doubts.append(f"its ends would have to be taken from {reference}")
     log_ref = np.log(ref)
     open_rivals: list[str] = []
     for rival in rivals:

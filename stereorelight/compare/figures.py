@@ -151,8 +151,8 @@ class Measured:
         return out
 
     def text(self) -> str:
-        """Calm tables for people."""
-        tables = [align(rows) for rows in tables_of(self.figures)]
+        """Calm tables for people; those by distance are for the page and JSON."""
+        tables = [align(rows) for rows in tables_of(f for f in self.figures if not f.table.endswith("by distance"))]
         return "\n\n".join([*(["\n".join(self.notes)] if self.notes else []), *tables])
 
     def with_notes(self, notes: Iterable[str]) -> Measured:

@@ -153,7 +153,9 @@ class Tally:
         """(error, share of the pixels within it, %), thinned to a hundred points between the 1 % that are nearest and the last answered."""
         shares = 100 * np.cumsum(self.counts) / max(self.pixels, 1)
         top = int(np.searchsorted(shares, shares[-1], side="left"))
-        low = min(int(np.searchsorted(shares, 1.0)), top)
+        # Not lower than a thousandth of what nearly all keep: how often exactly nothing is off is told by where the line begins.
+        least = int(np.searchsorted(EDGES, 1e-3 * EDGES[min(int(np.searchsorted(shares, 0.98 * shares[-1])) + 1, BINS - 1)]))
+        low = min(max(int(np.searchsorted(shares, 1.0)), least), top)
         at = np.unique(np.linspace(low, top, 100).round().astype(int))
         return [float(x) for x in EDGES[1:][at]], [float(y) for y in shares[at]]
 

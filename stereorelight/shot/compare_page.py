@@ -23,7 +23,7 @@ from stereorelight.shot.check_page import page_template
 from stereorelight.shot.compare_history import Run, history_curves, history_rows
 
 MAP_PX, BLINK_PX = 1280, 1280  # widest map and picture on the page
-W, H, LEFT, RIGHT, TOP, BOTTOM = 600, 240, 46, 12, 10, 30  # of a drawing, px
+W, H, LEFT, RIGHT, TOP, BOTTOM = 600, 240, 46, 20, 10, 30  # of a drawing, px
 COLOURS = ("#7db4e6", "#e8b64c", "#6cc08b", "#ee7465", "#a9a3c4", "#e4e6e8")
 
 

@@ -101,7 +101,10 @@ def _foreign_depth(path: Path, *, layer: str | None, camera: Camera | None, fov_
     camera = _seen_by(path, raw.size_hw, camera or raw.camera, fov_deg)
     if camera is None:
         raise PlateError(f"{path}: does not say which camera saw it; give --rig rig.json or --fov-deg")
-    told = understood(raw, camera=camera, size_hw=raw.size_hw, placement=Placement(), stated=stated, wanted=("Z",), role="the depth")
+    try:
+        told = understood(raw, camera=camera, size_hw=raw.size_hw, placement=Placement(), stated=stated, wanted=("Z",), role="the depth")
+    except PassError as error:
+        raise PassError(str(error).replace("--truth-is", "--depth-is")) from None
     Z = _on_earth(told.Z, path)
     return Frame(passes={"Z": Z}, camera=camera, eye=eye or "left", metadata={"depth_is": "; ".join(told.notes)} if told.notes else {})
 

@@ -27,7 +27,7 @@ from stereorelight.stereo.temporal import LIMIT_PX, Glimpse, glimpse, motion_bet
 
 THRESHOLDS = {"Z": (1.0, 2.0, 5.0), "N": (2.0, 5.0, 10.0), "picture": (2.0, 5.0, 10.0), "plate": (2.0, 5.0, 10.0)}
 UNITS = {"Z": "%", "N": "deg", "picture": "%", "plate": "%"}
-SCALES = {"Z": 2.0, "N": 10.0, "picture": 10.0, "plate": 10.0}
+SCALES = {"Z": 5.0, "N": 10.0, "picture": 10.0, "plate": 10.0}
 WORDS = {
     "Z": "Z, per cent of it",
     "N": "N, degrees",
