@@ -33,7 +33,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 BACKEND_HOMES: dict[str, tuple[str, ...]] = {
     "cv2": ("calibration", "health", "stereo", "footage", "threads"),
     "OpenEXR": ("footage/exr.py",),
-    "PyOpenColorIO": ("footage/colour.py",),
+    "PyOpenColorIO": ("footage/colour.py", "footage/colour_config.py"),
     "av": ("footage/movie",),
     "click": ("cli",),
     "numba": ("engine", "threads"),

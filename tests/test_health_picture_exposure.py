@@ -12,7 +12,8 @@ from stereorelight.arrays import Float32
 from stereorelight.compare.motorcycle import motorcycle
 from stereorelight.errors import PassError
 from stereorelight.health.clipping import clipping, judge_clipping, judge_crushing
-from stereorelight.health.exposure import exposure_difference, judge_colour, judge_exposure, judge_shading
+from stereorelight.health.exposure import exposure_difference
+from stereorelight.health.exposure_verdict import judge_colour, judge_exposure, judge_shading
 from stereorelight.synth.render import render
 from stereorelight.synth.rigs import rig_named
 from stereorelight.synth.scenes import scene_named

@@ -1,20 +1,15 @@
-"""Colour spaces by OpenColorIO: what a plate is recorded in to the working space, and on to a display; the only home of PyOpenColorIO.
+"""Colour spaces by OpenColorIO: what a plate is recorded in to the working space, and on to a display.
 
 In, out: RGB (..., 3) float32.  Working values are scene-linear, unclipped; "linear" always means already in the working space.
-Names: those of `space_names`, and every space, alias and role of the config.  The config is OpenColorIO's built-in studio
-config, pinned by name so that a newer library changes nothing: v2.2.0 is the newest that OpenColorIO 2.4 carries.  A config of
-the user's own is a file, an "ocio://" address, or "$OCIO"; the environment variable alone is not obeyed, since a receipt
-could not tell.  Her names go before ours, except for "linear".  Conversions are optimised without loss.
+Names: those of `space_names`, and every space, alias and role of the config (footage/colour_config.py).  Conversions are
+optimised without loss.
 sRGB, rec709, rec2020 and gammas are our own formulas (footage/curves.py); OpenColorIO does what primaries are left to change.
 Spaces that OpenColorIO holds as tables (Canon Log, Apple Log, LUT files) end where their table ends: values outside are clipped."""
 
 from __future__ import annotations
 
 import functools
-import hashlib
-import os
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,32 +20,24 @@ import numpy.typing as npt
 from stereorelight.arrays import Float32, UInt8
 from stereorelight.errors import PassError, ShotError
 from stereorelight.footage import curves
+from stereorelight.footage.colour_config import DEFAULT as DEFAULT
+from stereorelight.footage.colour_config import STUDIO_CONFIG as STUDIO_CONFIG
+from stereorelight.footage.colour_config import ColourSettings as ColourSettings
+from stereorelight.footage.colour_config import checked_space as checked_space
+from stereorelight.footage.colour_config import config_digest as config_digest
+from stereorelight.footage.colour_config import config_key, config_of, config_place, loaded, located, ocio_library, one_line
+from stereorelight.footage.colour_config import working_space as working_space
 from stereorelight.footage.curves import decode as decode
 from stereorelight.footage.curves import encode as encode
 from stereorelight.footage.curves import known_spaces as known_spaces
 from stereorelight.footage.primaries import PRIMARIES, Chromaticities, matrix_between
-from stereorelight.footage.space_names import ALIASES, FORMULA_ALIASES, FORMULAS, REC709, config_names, formula_named, hint, plain
+from stereorelight.footage.space_names import ALIASES, FORMULAS, REC709, formula_named, hint, plain
 
-STUDIO_CONFIG = "studio-config-v2.2.0_aces-v1.3_ocio-v2.4"
 LINEAR_SUFFIXES = frozenset({".exr"})
 BLOCK_PIXELS = 1 << 15  # fixed, so that the bits do not depend on the number of threads
 SAME_MATRIX = 2e-4
 TABLE_LOW, TABLE_HIGH = -1.25, 2.25  # every code value of 8 to 12 bit video, through every matrix, lies within
 TABLE_ERROR, TABLE_FLOOR = 1e-5, 1e-3
-
-
-@dataclass(frozen=True, kw_only=True)
-class ColourSettings:
-    """How plates are decoded and shown.
-
-    working : the scene-linear space that everything is reckoned in.    config : None for the pinned studio config.
-    display, view : of the config, for previews; None for the config's default where the other one is given.
-    """
-
-    working: str = REC709
-    config: str | None = None
-    display: str | None = None
-    view: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,163 +54,25 @@ class TransferTable:
     matrix: Float32 | None
 
 
-DEFAULT = ColourSettings()
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
-
-
-@functools.cache
-def _ocio() -> Any:
-    import PyOpenColorIO as ocio
-
-    ocio.SetLoggingLevel(ocio.LOGGING_LEVEL_NONE)  # what it says it also raises
-    return ocio
-
-
-@functools.lru_cache(maxsize=8)
-def _loaded(source: str, stamp: tuple[int, int]) -> Any:
-    ocio = _ocio()
-    try:
-        return ocio.Config.CreateFromBuiltinConfig(STUDIO_CONFIG) if not source else ocio.Config.CreateFromFile(source)
-    except (ocio.Exception, ocio.ExceptionMissingFile, RuntimeError) as error:
-        why = re.sub(r"^Error: Loading the OCIO profile .* failed\. |yaml-cpp: error at ", "", _one_line(error)).rstrip(".")
-        remedy = "mend the file, or leave config out for the studio config"
-        raise ShotError(f"{source or STUDIO_CONFIG}: OpenColorIO cannot read this config: {why}; {remedy}") from None
-
-
-def config_source(settings: ColourSettings) -> str:
-    """The file or address of the user's own config, "$OCIO" resolved; empty for the pinned one.  Raises ShotError."""
-    source = settings.config or ""
-    if source == "$OCIO":
-        source = os.environ.get("OCIO", "")
-        if not source:
-            raise ShotError('config = "$OCIO", but the environment variable OCIO is not set; set it, or name the config file')
-    return source
-
-
-def _key(settings: ColourSettings) -> tuple[str, tuple[int, int]]:
-    """What tells one state of the config from another: its address, and a file's time and size.  Raises ShotError."""
-    source = config_source(settings)
-    if not source or source.startswith("ocio://"):
-        return source, (0, 0)
-    path = Path(source)
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "there is no such file"
-        raise ShotError(f"{source}: {what}; give an OpenColorIO config, config.ocio or .ocioz, or leave it out for the studio config")
-    stat = path.stat()
-    return source, (stat.st_mtime_ns, stat.st_size)
-
-
-def _config(settings: ColourSettings) -> Any:
-    return _loaded(*_key(settings))
-
-
-def _place(settings: ColourSettings) -> str:
-    return config_source(settings) or STUDIO_CONFIG
-
-
-def _all_names(config: Any) -> Iterator[str]:
-    ocio = _ocio()
-    for space in config.getColorSpaces(ocio.SEARCH_REFERENCE_SPACE_ALL, ocio.COLORSPACE_ALL):
-        yield space.getName()
-        yield from space.getAliases()
-    yield from config.getRoleNames()
-
-
-def _in_config(name: str, config: Any) -> str | None:
-    """The config's own spelling of a space, alias or role, or of the first friendly name's space that it has."""
-    for tried in (name, *config_names(name)):
-        space = config.getColorSpace(tried)
-        if space is not None:
-            return str(space.getName())
-    wanted = plain(name)
-    return next((str(config.getColorSpace(n).getName()) for n in _all_names(config) if plain(n) == wanted), None)
-
-
-def checked_space(space: str, settings: ColourSettings = DEFAULT) -> str:
-    """`space` as its config spells it ("LogC3" is "ARRI LogC3 (EI800)"), whatever its case and punctuation.
-
-    Our own names are known without loading a config.  Raises ShotError with the nearest name, or for a broken config.
-    """
-    name = str(space).strip()
-    own = formula_named(name)
-    if own == "linear" or (own and settings.config is None):
-        return own
-    config = _config(settings)
-    found = _in_config(name, config) if name else None
-    if found is None and own:
-        return own
-    if found is None:
-        known = [*FORMULAS, "linear", "auto", *FORMULA_ALIASES, *(a for a in ALIASES if _in_config(a, config)), *_all_names(config)]
-        raise ShotError(f"colour_space {space!r} is unknown{hint(name, known, place=_place(settings))}")
-    if config.getColorSpace(found).isData():
-        raise ShotError(f"colour_space {space!r} is data, not colour; use 'linear' for values that are in the working space already")
-    return found
-
-
-def _is_linear(config: Any, name: str) -> bool:
-    ocio = _ocio()
-    try:
-        return bool(config.isColorSpaceLinear(name, ocio.REFERENCE_SPACE_SCENE))
-    except (ocio.Exception, ocio.ExceptionMissingFile):  # its LUT file is missing
-        return False
-
-
-def _not_linear(name: str) -> ShotError:
-    return ShotError(f"working space {name!r} is not scene-linear; use 'linear Rec.709', 'ACEScg' or another linear space")
-
-
-def working_space(settings: ColourSettings = DEFAULT) -> str:
-    """The working space's name: "linear Rec.709", or as the config spells it.  Raises ShotError where it is no linear space."""
-    if plain(settings.working) == plain(REC709) and settings.config is None:
-        return REC709
-    config = _config(settings)
-    found = _in_config(settings.working, config)
-    if found is None:
-        if config_names(settings.working) and config.hasRole("aces_interchange"):
-            studio = _loaded("", (0, 0))
-            found, config = _in_config(settings.working, studio), studio
-        if found is None:
-            if formula_named(settings.working) not in (None, "linear"):
-                raise _not_linear(settings.working)
-            linear = [n for n in config.getColorSpaceNames() if _is_linear(config, n)]
-            raise ShotError(f"working space {settings.working!r} is unknown in {_place(settings)}{hint(settings.working, linear, place='it')}")
-    if config.getColorSpace(found).isData() or not _is_linear(config, found):
-        raise _not_linear(settings.working)
-    return REC709 if found == ALIASES[REC709][0] else found
-
-
-def _located(name: str, settings: ColourSettings) -> tuple[Any, str]:
-    """The config that holds a space, and its name there: the user's, or for linear spaces that hers lacks the pinned one."""
-    config = _config(settings)
-    found = _in_config(name, config)
-    if found is None:
-        config = _loaded("", (0, 0))
-        found = _in_config(name, config)
-    return config, found or name
-
-
 def _wrapped(make: Callable[[], Any], what: str, settings: ColourSettings) -> Any:
-    ocio = _ocio()
+    ocio = ocio_library()
     try:
         return make().getOptimizedCPUProcessor(ocio.OPTIMIZATION_LOSSLESS)
     except (ocio.Exception, ocio.ExceptionMissingFile) as error:
         remedy = "; give the config that role, or take colour_space and working both from it" if "aces_interchange" in str(error) else ""
-        raise ShotError(f"{_place(settings)}: {what} cannot be converted: {_one_line(error).rstrip('.')}{remedy}") from None
+        raise ShotError(f"{config_place(settings)}: {what} cannot be converted: {one_line(error).rstrip('.')}{remedy}") from None
 
 
 @functools.lru_cache(maxsize=64)
 def _processor(source: str, target: str, settings: ColourSettings, _state: object) -> Any:
-    (a, name_a), (b, name_b) = _located(source, settings), _located(target, settings)
-    both = _ocio().Config.GetProcessorFromConfigs
+    (a, name_a), (b, name_b) = located(source, settings), located(target, settings)
+    both = ocio_library().Config.GetProcessorFromConfigs
     return _wrapped(lambda: a.getProcessor(name_a, name_b) if a is b else both(a, name_a, b, name_b), f"{source} to {target}", settings)
 
 
 def _between(source: str, target: str, settings: ColourSettings) -> Any:
     """The lossless processor; kept for as long as the config is the same one."""
-    return _processor(source, target, settings, _key(settings))
+    return _processor(source, target, settings, config_key(settings))
 
 
 def _applied(processor: Any, picture: Float32) -> Float32:
@@ -290,25 +139,25 @@ def check_colour(settings: ColourSettings, *spaces: str) -> None:
 
 def checked_display(settings: ColourSettings) -> tuple[str, str]:
     """Display and view as the config spells them, its defaults for what is not given.  Raises ShotError with the nearest name."""
-    config = _config(settings)
+    config = config_of(settings)
     displays = list(config.getDisplays())
     display = settings.display or config.getDefaultDisplay()
     found = next((d for d in displays if plain(d) == plain(display)), None) or next(
         (d for d in displays if plain(d) == plain(display) + "display"), None
     )
     if found is None:
-        raise ShotError(f"display {display!r} is unknown{hint(display, displays, place=_place(settings))}")
+        raise ShotError(f"display {display!r} is unknown{hint(display, displays, place=config_place(settings))}")
     views = list(config.getViews(found))
     view = settings.view or config.getDefaultView(found)
     seen = next((v for v in views if plain(v) == plain(view)), None)
     if seen is None:
-        raise ShotError(f"view {view!r} is unknown for display {found!r}{hint(view, views, place=_place(settings))}")
+        raise ShotError(f"view {view!r} is unknown for display {found!r}{hint(view, views, place=config_place(settings))}")
     return found, seen
 
 
 def _display_processor(settings: ColourSettings) -> Any:
-    ocio, (display, view), hers = _ocio(), checked_display(settings), _config(settings)
-    config, name = _located(working_space(settings), settings)
+    ocio, (display, view), hers = ocio_library(), checked_display(settings), config_of(settings)
+    config, name = located(working_space(settings), settings)
 
     def make() -> Any:
         if config is hers:
@@ -349,9 +198,9 @@ def chromaticities(settings: ColourSettings = DEFAULT) -> Chromaticities | None:
         return PRIMARIES[working]
     try:
         for name, primaries in PRIMARIES.items():
-            studio = _loaded("", (0, 0))
-            config, own = _located(working, settings)
-            make = _ocio().Config.GetProcessorFromConfigs
+            studio = loaded("", (0, 0))
+            config, own = located(working, settings)
+            make = ocio_library().Config.GetProcessorFromConfigs
             to_known = _wrapped(functools.partial(make, config, own, studio, name), working, settings)
             if np.abs(_applied(to_known, np.eye(3, dtype=np.float32)) - np.eye(3)).max() < SAME_MATRIX:
                 return primaries
@@ -368,54 +217,12 @@ def from_primaries(linear: npt.ArrayLike, source: Chromaticities, settings: Colo
     return np.ascontiguousarray(np.asarray(linear, np.float32) @ matrix_between(source, target).T.astype(np.float32))
 
 
-def config_digest(settings: ColourSettings = DEFAULT, *spaces: str) -> str:
-    """sha256 hex over what conversions depend on: working space, the config's text and its LUT files' bytes, OpenColorIO's version.
-
-    With `spaces` given that are all our own formulas in linear Rec.709, no config takes part.  Displays and views do not.
-    """
-    working = working_space(settings)
-    told = hashlib.sha256(working.encode())
-    plain_formulas = spaces and working == REC709 and settings.config is None
-    if plain_formulas and all(s.lower() == "auto" or formula_named(s) not in (None, "rec2020") for s in spaces):
-        return told.hexdigest()
-    config = _config(settings)
-    told.update(f"{_ocio().__version__}\n{config.serialize()}".encode())
-    for file in sorted(_files_of(config)):
-        told.update(file.encode())
-        told.update(Path(file).read_bytes() if Path(file).is_file() else b"missing")
-    archive = config_source(settings)
-    if archive.endswith(".ocioz"):
-        told.update(Path(archive).read_bytes())
-    return told.hexdigest()
-
-
-def _files_of(config: Any) -> set[str]:
-    """Every LUT file that the config names, where it lies now."""
-    ocio, context, found = _ocio(), config.getCurrentContext(), set[str]()
-
-    def walk(transform: Any) -> None:
-        if isinstance(transform, ocio.GroupTransform):
-            for one in transform:
-                walk(one)
-        elif isinstance(transform, ocio.FileTransform):
-            # Looked for here: the library remembers what it once found or missed.
-            name = context.resolveStringVar(transform.getSrc())
-            places = [Path(context.getWorkingDir()) / context.resolveStringVar(place) for place in context.getSearchPaths()]
-            tried = [place / name for place in (*places, Path(context.getWorkingDir()))]
-            found.add(str(next((path for path in tried if path.is_file()), name)))
-
-    for space in config.getColorSpaces(ocio.SEARCH_REFERENCE_SPACE_ALL, ocio.COLORSPACE_ALL):
-        for way in (ocio.COLORSPACE_DIR_TO_REFERENCE, ocio.COLORSPACE_DIR_FROM_REFERENCE):
-            walk(space.getTransform(way))
-    return found
-
-
 def transfer_table(space: str, settings: ColourSettings = DEFAULT) -> TransferTable | None:
     """The conversion of `space` as curve and matrix, held against `to_working` on samples; None where it is neither.
 
     Error: 1e-5 of the pixel's largest channel or of 1e-3, by interpolation in full precision.  Raises ShotError.
     """
-    return _table(checked_space(space, settings), settings, _key(settings))
+    return _table(checked_space(space, settings), settings, config_key(settings))
 
 
 @functools.lru_cache(maxsize=16)

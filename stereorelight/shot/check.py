@@ -5,8 +5,8 @@ Every frame is read once and let go: signatures and time offset are taken of all
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from stereorelight.footage.plates import check_pair
 from stereorelight.health.alignment import Strips
 from stereorelight.health.blur import judge_blur
 from stereorelight.health.clipping import judge_clipping, judge_crushing
-from stereorelight.health.exposure import judge_colour, judge_exposure, judge_shading
+from stereorelight.health.exposure_verdict import judge_colour, judge_exposure, judge_shading
 from stereorelight.health.eyes import (
     judge_matches,
     judge_mirrored,
@@ -39,11 +39,12 @@ from stereorelight.health.focus import judge_focus
 from stereorelight.health.grain import judge_grain
 from stereorelight.health.predict import Prediction, judge_prediction, predict, verdict
 from stereorelight.health.range import judge_range
-from stereorelight.health.repeats import FrameSignature, Signed, judge_corrupt, judge_drops, judge_repeats, signature
+from stereorelight.health.repeats import FrameSignature, judge_corrupt, judge_drops, judge_repeats, signature
 from stereorelight.health.sync import SyncMeter, judge_sync
 from stereorelight.interchange.rigs import files_of, read_rig
 from stereorelight.shot.check_look import Look, look
 from stereorelight.shot.check_pictures import pictures_of
+from stereorelight.shot.check_runs import graver, judged_runs, runs_of
 from stereorelight.shot.pairs import Pair, eyes_of_shot, pairs_of
 from stereorelight.shot.schema import read_shot
 from stereorelight.stereo.rectify import Rectification, rectification
@@ -318,47 +319,9 @@ def _in_time(seen: _Seen, pairs: Sequence[Pair]) -> list[Finding]:
     found = [judge_sync(seen.sync.measure())]
     order = {pair.number: n for n, pair in enumerate(pairs)}
     for judge in (judge_repeats, judge_drops, judge_corrupt):
-        left, right = (_of_runs(judge, _runs(signed, order), eye) for signed, eye in ((seen.left, "left"), (seen.right, "right")))
-        found.append(_graver(left, right))
+        left, right = (judged_runs(judge, runs_of(signed, order), eye) for signed, eye in ((seen.left, "left"), (seen.right, "right")))
+        found.append(graver(left, right))
     return [*found, judge_blur([(one.number, one.blur) for one in seen.looks if one.blur is not None])]
-
-
-def _runs(signed: Signed, order: Mapping[int | None, int]) -> list[Signed]:
-    """The stretches between frames that cannot be read: across such a hole everything seems to jump."""
-    cuts = [n for n in range(1, len(signed)) if order[signed[n][0]] != order[signed[n - 1][0]] + 1]
-    return [signed[a:b] for a, b in zip([0, *cuts], [*cuts, len(signed)])]
-
-
-def _of_runs(judge: Callable[..., Finding], runs: Sequence[Signed], eye: str) -> Finding:
-    """The gravest of the stretches, with the values of all of them; a stretch too short to tell counts only where all are."""
-    each = [judge(run, eye=eye) for run in runs]
-    told = [finding for finding in each if finding.level != "unknown"] or each
-    gravest = max(told, key=lambda finding: (LEVELS.index(finding.level), finding.value or 0.0))
-    total = sum(finding.value or 0.0 for finding in told) if gravest.level != "unknown" else None
-    grave = [finding for finding in told if finding.level == gravest.level]
-    words = gravest.words if gravest.level == "good" else " ".join(finding.words for finding in grave)
-    return replace(gravest, value=total, words=words, frames=tuple(frame for finding in each for frame in finding.frames))
-
-
-def _graver(left: Finding, right: Finding) -> Finding:
-    """One finding for both eyes: the graver one; of two grave ones, the words of both."""
-    first, other = sorted((left, right), key=lambda finding: -LEVELS.index(finding.level))
-    if first.level == other.level == "good":
-        return replace(first, words=first.words.replace("of the left eye", "of either eye"))
-    if other.level in ("good", "unknown", "note"):
-        return first
-    details = {"left": left.to_dict(), "right": right.to_dict()}
-    values = [f.value for f in (left, right) if f.value is not None]
-    return Finding(
-        name=first.name,
-        level=first.level,
-        value=max(values, default=None),
-        unit=first.unit,
-        words=f"{left.words} {right.words}",
-        remedy=first.remedy,
-        frames=first.frames,
-        details=details,
-    )
 
 
 def _pictures(seen: _Seen) -> list[Finding]:
