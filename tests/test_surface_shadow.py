@@ -14,10 +14,11 @@ from stereorelight.surface.emitters import Emitter, across, on_disc, spread
 from stereorelight.surface.occlusion import ambient_occlusion
 from stereorelight.surface.visibility import ShadowScene
 from stereorelight.synth.lights import Light
-from stereorelight.synth.render import FLIP, SELF_M
+from stereorelight.synth.render import FLIP
 from stereorelight.synth.scenes import scene_named
 
 SIZE = (480, 270)
+SELF_M = 2e-6  # a ray that ends on a surface must not find that surface
 KEY = Light(name="key", position_m=(-0.8, 0.9, 0.2))
 
 

@@ -20,6 +20,7 @@ from stereorelight.surface.position import checked_depth, ray_slopes
 
 STEEPEST_DEG = 78.0  # a step between neighbours that lies flatter than this to the eye's ray is a surface, whatever stands about it
 LOOK_PX = 3  # how far a steeper one is followed to tell a grazing surface from an edge
+LIMB_PX, SAME_LIMB = 4, 0.02  # how far along an outline it is evened out, and by what share of its depth it may change over that
 LOOK_RECOVERED_PX = 8  # the same for depth that was matched, whose edges are smeared
 
 
@@ -144,6 +145,39 @@ def half_steps(w: Float64, links: Links) -> tuple[Float64, Float64, Float64, Flo
     return halves[0], halves[1], halves[2], halves[3]
 
 
+def _limb(w: Float64, half: Float64, side: int, linked: tuple[Bool, Bool, Bool, Bool]) -> Float64:
+    """`half` steps to one side, with outlines of round things evened out along themselves.
+
+    A round thing falls off ever faster to its outline, and its last pixels end at any distance from it: their depths jump from row to row,
+    and a shadow's edge would be a saw.  Each takes the deepest fall of the outline about it, reckoned from LOOK_PX inside."""
+    dy, dx = ((0, 1), (0, -1), (1, 0), (-1, 0))[side]  # inwards
+    inner = linked[side ^ 1]
+    y, x = np.nonzero(~linked[side] & inner & np.isfinite(w))
+    h, width = w.shape
+    room = (y + LOOK_PX * dy >= 0) & (y + LOOK_PX * dy < h) & (x + LOOK_PX * dx >= 0) & (x + LOOK_PX * dx < width)
+    y, x = y[room], x[room]
+    chain = np.ones(len(y), bool)
+    for k in range(LOOK_PX):
+        chain &= inner[y + k * dy, x + k * dx]
+    y, x = y[chain], x[chain]
+    base, fall = np.full_like(w, np.nan), np.full_like(w, np.nan)
+    base[y, x] = w[y + LOOK_PX * dy, x + LOOK_PX * dx]
+    fall[y, x] = w[y, x] + half[y, x] - base[y, x]
+    along, across = (LIMB_PX, 1) if dx else (1, LIMB_PX)
+    reach = max(along, across)
+    bases, falls = (np.pad(a, reach, constant_values=np.nan) for a in (base, fall))
+    own, deepest = base[y, x], fall[y, x]
+    for oy in range(-along, along + 1):
+        for ox in range(-across, across + 1):
+            at = (y + reach + oy, x + reach + ox)
+            with np.errstate(invalid="ignore"):
+                near = np.abs(bases[at] - own) <= SAME_LIMB * own
+                deepest = np.where(near, np.fmin(deepest, falls[at]), deepest)
+    out = half.copy()
+    out[y, x] = np.maximum(own + deepest - w[y, x], -0.4 * w[y, x])
+    return out
+
+
 def _place(slopes: Float64, w: Float64) -> Float32:
     """Scene-frame points (..., 3) at inverse depth w along rays of the given slopes."""
     return np.stack([slopes[..., 0] / w, -slopes[..., 1] / w, -1 / w], axis=-1).astype(np.float32)
@@ -212,7 +246,8 @@ class _Rim:
         any_known = known[:-1, :-1] | known[:-1, 1:] | known[1:, :-1] | known[1:, 1:]
         y, x = np.nonzero(any_known & ~whole)
         corners = [(y, x), (y, x + 1), (y + 1, x), (y + 1, x + 1)]
-        left, right, up, low = half_steps(inverse, links)
+        beside_ = links.beside()
+        left, right, up, low = (_limb(inverse, half, side, beside_) for side, half in enumerate(half_steps(inverse, links)))
         linked = [links.across[y, x], links.across[y + 1, x], links.down[y, x], links.down[y, x + 1]]  # top, bottom, left, right
         pairs = [(0, 1), (2, 3), (0, 2), (1, 3)]
         # Pixels of a block that hang together share its corner, so that their quarters close.
