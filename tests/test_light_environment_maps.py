@@ -225,3 +225,27 @@ def test_an_outline_is_where_the_surface_turns_away() -> None:
     P = np.array([[(0, 0, -2), (0, 0, -2), (0, 0, -2)]], np.float32)
     N = np.array([[(0, 0, 1), (1, 0, 0), (np.nan, 0, 1)]], np.float32)
     assert outline(P, N)[0].tolist() == [0, 1, 0]
+
+
+def test_ink_goes_round_what_stands_before_and_not_over_a_slanted_floor() -> None:
+    """A card at 1 m before a wall at 2 m, and a floor at a grazing angle: ink on the card's own rim, none on wall and floor."""
+    from stereorelight.camera import Camera
+
+    camera = Camera.from_fov(50, (48, 40))
+    d = camera.rays(camera.pixel_grid().reshape(-1, 2)).reshape(40, 48, 3) * (1, -1, -1)
+    floor = np.array([0, 1.0, 0])
+    t = np.minimum(2.0, np.where(d[..., 1] < 0, -0.5 / np.minimum(d[..., 1], -1e-9), np.inf))
+    N = np.where((t < 2)[..., None], floor, (0, 0, 1.0))
+    t[8:20, 10:30], N[8:20, 10:30] = 1.0, (0, 0, 1)
+    P = (t[..., None] * d).astype(np.float32)
+    line = outline(P, N, width=0.0, softness=0.0, jump=0.1)
+    card = np.zeros((40, 48), bool)
+    card[8:20, 10:30] = True
+    rim = card.copy()
+    rim[9:19, 11:29] = False
+    assert (line[rim] > 0.99).all()
+    assert (line[10:18, 12:28] == 0).all()
+    assert (line[~card] == 0).all()
+    assert (outline(P, N, width=0.0, softness=0.0) == 0).all()
+    P[0, 0] = np.nan
+    assert np.isfinite(outline(P, N, jump=0.1)).all()

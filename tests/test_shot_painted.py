@@ -122,6 +122,7 @@ def test_a_fade_reaches_paint(tmp_path: Path) -> None:
         ('file = "clay.exr"\nfacing = "eye"\n', "facing 'eye' is unknown"),
         ('file = "clay.exr"\nexposur = 1\n', "did you mean 'exposure'"),
         ('type = "outline"\nwidth = 2\n', "width must be a number, 0 ... 1"),
+        ('type = "outline"\njump = -1\n', "jump must be a number"),
         ('type = "outline"\nname = 3\n', "TOML"),
     ],
 )

@@ -124,10 +124,38 @@ def toon(
     return out
 
 
-def outline(P: npt.ArrayLike, N: npt.ArrayLike, *, width: float = 0.25, softness: float = 0.1) -> Float32:
-    """(H, W) in 0..1: 1 where the surface turns away from the eye, N.V < width, for a drawn edge; 0 where unknown."""
+def outline(P: npt.ArrayLike, N: npt.ArrayLike, *, width: float = 0.25, softness: float = 0.1, jump: float = 0.0) -> Float32:
+    """(H, W) in 0..1: where a drawn edge goes; 0 where unknown.
+
+    width : 1 where the surface turns away from the eye, N.V < width.     softness : of that edge, as much N.V.
+    jump  : above 0 also 1 on the nearer side of a jump in depth, in a line of two pixels: where a neighbour's distance is larger by this
+            share than the surface's own slant says, or nothing is known behind an edge.
+    """
     n = _units(N)
-    v = _seen(P, (n.shape[0], n.shape[1]))
+    size_hw = (n.shape[0], n.shape[1])
+    v = _seen(P, size_hw)
     nv = (n * v).sum(axis=-1)
     t = np.clip((width - nv) / max(softness, 1e-6) + 0.5, 0, 1)
-    return np.where(np.isfinite(nv), t * t * (3 - 2 * t), 0).astype(np.float32)
+    line = t * t * (3 - 2 * t)
+    if jump > 0:
+        line = np.maximum(line, _jumps(as_float32(P, "P", channels=3), n, jump))
+    return np.where(np.isfinite(nv), line, 0).astype(np.float32)
+
+
+def _jumps(P: Float32, n: Float32, jump: float) -> Float32:
+    """1 where a pixel's own plane, carried on to a neighbour one or two pixels away, lies before what is there by the share `jump`."""
+    found = np.zeros(P.shape[:2], np.float32)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = (P * n).sum(axis=-1)
+        for step in (1, 2):
+            for axis, way in ((0, step), (0, -step), (1, step), (1, -step)):
+                there = np.roll(P, -way, axis=axis)
+                edge = [slice(None), slice(None)]
+                edge[axis] = slice(-way, None) if way > 0 else slice(None, -way)
+                there[tuple(edge)] = P[tuple(edge)]  # nothing jumps over the frame's edge
+                # How far along the neighbour's ray the plane is met; 1 where it goes through the neighbour itself.
+                share = along / (there * n).sum(axis=-1)
+                t = np.clip((1 / share - 1) / jump - 0.5, 0, 1)
+                hit = np.where((share > 0) & (share < 1), t * t * (3 - 2 * t), 0)
+                found = np.maximum(found, hit * (1.0 if step == 1 else 0.6)).astype(np.float32)
+    return found

@@ -141,18 +141,21 @@ class Outline(Paint):
     """Ink where the surface turns away from the eye: it covers what is beneath, so its layer takes that light away.
 
     width    : N.V below which there is ink.      softness : of its edge, as much N.V.     color : of the ink, linear.
+    jump     : ink on the nearer side of jumps in depth by this share of the distance; 0 for none.
     """
 
     kind: ClassVar[str] = "outline"
 
     width: float = 0.25
     softness: float = 0.1
+    jump: float = 0.0
     color: Vector = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._number("width", low=0, high=1)
         self._number("softness", low=0, high=1)
+        self._number("jump", low=0, high=10)
         self._vector("color", low=0)
 
 
@@ -192,7 +195,7 @@ def toned(
 
 def inked(paint: Outline, beneath: npt.ArrayLike, *, P: npt.ArrayLike, N: npt.ArrayLike, matte: npt.ArrayLike | None = None) -> Float32:
     """(H, W, 3): what turns `beneath` (H, W, 3) into ink along the outline when it is added; below 0 where it takes light away."""
-    line = outline(P, N, width=paint.width, softness=paint.softness)
+    line = outline(P, N, width=paint.width, softness=paint.softness, jump=paint.jump)
     if matte is not None:
         line = line * np.nan_to_num(np.asarray(matte, dtype=np.float32))
     under = np.asarray(beneath, dtype=np.float32)
