@@ -67,12 +67,18 @@ def _linked(w: Float64, sigma: Float64, flat: float, look: int) -> Bool:
             slope = np.full_like(step, np.nan)
             if width > look + 1:
                 far = (w[:, look:] - w[:, :-look]) / look
+                # Both the next step and the whole way must tell of the slope: the whole way alone may lead over another edge.
                 if side < 0:
-                    slope[:, look:] = far[:, :-1]
+                    slope[:, look:] = _smaller(far[:, :-1], step[:, look - 1 : -1])
                 else:
-                    slope[:, :-look] = far[:, 1:]
+                    slope[:, :-look] = _smaller(far[:, 1:], step[:, 1 : width - look])
             linked |= np.abs(step - slope) <= np.abs(slope) + noise
     return linked
+
+
+def _smaller(a: Float64, b: Float64) -> Float64:
+    """The one nearer to 0 where both have the same sign, else 0."""
+    return np.where(a * b > 0, np.where(np.abs(a) < np.abs(b), a, b), 0.0)
 
 
 def links_of(Z: npt.ArrayLike, camera: Camera, *, Z_sigma: npt.ArrayLike | None = None) -> Links:
