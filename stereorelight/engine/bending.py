@@ -45,13 +45,6 @@ def _bend_row(up, me, down, lx, ly, lxy, first, last, qx, qy, qxy):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bend(begin, end, u, lx, ly, lxy, qx, qy, qxy):
-    H = u.shape[0]
-    for y in range(begin, end):
-        _bend_row(u[max(y - 1, 0)], u[y], u[min(y + 1, H - 1)], lx[y], ly[y], lxy[y], y == 0, y == H - 1, qx[y], qy[y], qxy[y])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _back_row(w, u, qx, above, qy, below, crossed, qxy, first, last, out):
     """Row of the plate's force: the adjoint of the second differences, plus weight times u."""
     W = u.size
@@ -74,32 +67,63 @@ def _back_row(w, u, qx, above, qy, below, crossed, qxy, first, last, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _back(begin, end, w, u, qx, qy, qxy, out, dots):
-    H, W = u.shape
-    for y in range(begin, end):
-        up, down = max(y - 1, 0), min(y + 1, H - 1)
-        _back_row(w[y], u[y], qx[y], qy[up], qy[y], qy[down], qxy[up], qxy[y], y == 0, y == H - 1, out[y])
-        total = 0.0
-        for x in range(W):
-            total += u[y, x] * out[y, x]
-        dots[y] = total
+def _dot_row(a, b):
+    """Sum of a b, eight sums at a time: one alone waits for itself at every pixel."""
+    n = a.size
+    s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = 0.0
+    whole = n - n % 8
+    for x in range(0, whole, 8):
+        s0 += np.float64(a[x] * b[x])
+        s1 += np.float64(a[x + 1] * b[x + 1])
+        s2 += np.float64(a[x + 2] * b[x + 2])
+        s3 += np.float64(a[x + 3] * b[x + 3])
+        s4 += np.float64(a[x + 4] * b[x + 4])
+        s5 += np.float64(a[x + 5] * b[x + 5])
+        s6 += np.float64(a[x + 6] * b[x + 6])
+        s7 += np.float64(a[x + 7] * b[x + 7])
+    for x in range(whole, n):
+        s0 += np.float64(a[x] * b[x])
+    return ((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _step_row(alpha, p, ap, inverse, u, r, z):
-    total = 0.0
+def _force(begin, end, w, u, lx, ly, lxy, out, dots):
+    """weight u plus the plate's force on u: bends of a few rows at a time, and what they do to the rows between."""
+    H, W = u.shape
+    qx, qy, qxy = np.zeros((3, W), np.float32), np.zeros((3, W), np.float32), np.zeros((3, W), np.float32)
+    for y in range(max(begin - 1, 0), min(end, H - 1) + 1):
+        _bend_row(u[max(y - 1, 0)], u[y], u[min(y + 1, H - 1)], lx[y], ly[y], lxy[y], y == 0, y == H - 1, qx[y % 3], qy[y % 3], qxy[y % 3])
+        me = y - 1  # its bends, and those of the rows above and below, are known
+        if begin <= me < end:
+            up = max(me - 1, 0) % 3
+            _back_row(w[me], u[me], qx[me % 3], qy[up], qy[me % 3], qy[y % 3], qxy[up], qxy[me % 3], me == 0, False, out[me])
+            dots[me] = _dot_row(u[me], out[me])
+    if end == H:
+        me, up = H - 1, max(H - 2, 0) % 3
+        _back_row(w[me], u[me], qx[me % 3], qy[up], qy[me % 3], qy[me % 3], qxy[up], qxy[me % 3], me == 0, True, out[me])
+        dots[me] = _dot_row(u[me], out[me])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_row(alpha, p, u):
     for x in range(p.size):
         u[x] += alpha * p[x]
-        r[x] -= alpha * ap[x]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _scale_row(inverse, r, z):
+    for x in range(r.size):
         z[x] = inverse[x] * r[x]
-        total += r[x] * z[x]
-    return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _step(begin, end, alpha, p, ap, inverse, u, r, z, dots):
+    # One loop of six arrays does not become vectors: too many of them might overlap.
     for y in range(begin, end):
-        dots[y] = _step_row(alpha, p[y], ap[y], inverse[y], u[y], r[y], z[y])
+        _add_row(alpha, p[y], u[y])
+        _add_row(-alpha, ap[y], r[y])
+        _scale_row(inverse[y], r[y], z[y])
+        dots[y] = _dot_row(r[y], z[y])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -258,14 +282,12 @@ class _Plate:
         self.like = d
         self.weight = weight
         self.links = tuple(np.empty_like(d) for _ in range(3))
-        self.bends = tuple(np.empty_like(d) for _ in range(3))
         self.dots = np.empty(d.shape[0], np.float64)
         _in_blocks(lambda begin, end: _links(begin, end, d, stiff, f4(cut), *self.links), self.like)
 
     def force(self, weight: Float32, u: Float32, out: Float32) -> float:
         """weight u + plate u into `out`; returns u . out."""
-        _in_blocks(lambda begin, end: _bend(begin, end, u, *self.links, *self.bends), self.like)
-        _in_blocks(lambda begin, end: _back(begin, end, weight, u, *self.bends, out, self.dots), self.like)
+        _in_blocks(lambda begin, end: _force(begin, end, weight, u, *self.links, out, self.dots), self.like)
         return float(self.dots.sum())
 
     def _advance(self, alpha: np.float32, vectors: tuple[Float32, ...], begin: int, end: int) -> None:

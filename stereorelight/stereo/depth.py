@@ -99,7 +99,7 @@ def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> R
             useful = ~known & (np.abs(flow.disparity - dense) <= 2 * settings.consistency_px)
         dense = np.where(useful, flow.disparity, dense)
         known |= useful
-    refined = refine(proxy, dense, confirmed, known=known, ramps=settings.matcher != OWN, effort=EFFORTS[settings.quality])
+    refined = refine(proxy, dense, confirmed, known=known, ramps=settings.matcher != OWN, calm=found.calm, effort=EFFORTS[settings.quality])
     evidence = belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity)
     confidence = belief.confidence_from_evidence(evidence)
     return RectifiedDepth(

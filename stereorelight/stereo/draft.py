@@ -15,7 +15,7 @@ from stereorelight.arrays import Bool, Float32
 from stereorelight.engine.bending import slopes
 from stereorelight.stereo.match import DisparityRange
 from stereorelight.stereo.proxy import Proxy
-from stereorelight.stereo.refine import CUT_PX, Refined, joined
+from stereorelight.stereo.refine import CUT_PX, Refined, lined
 
 HALF_SIZE_SIGMA_PX = 0.12  # what pictures of half the size are off by whatever their own noise says: aliasing and lost detail
 
@@ -69,7 +69,7 @@ def _along_planes(refined: Refined, size_hw: tuple[int, int]) -> Float32:
 def full_size(refined: Refined, proxy: Proxy) -> Refined:
     """A half-size `Refined` on the full-size `proxy`."""
     size = proxy.left_grey.shape
-    disparity = joined(_along_planes(refined, size), proxy)
+    disparity = lined(_along_planes(refined, size), proxy.left)
     slope_x, slope_y = slopes(disparity, cut=CUT_PX)
     return Refined(
         disparity=disparity,

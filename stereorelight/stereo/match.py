@@ -58,12 +58,14 @@ class Match:
     """What matching says of a pair.
 
     left, right : each eye's own disparity, NaN where unmatched.
+    calm        : the left picture with less grain, where there was too much of it.
     dense       : the left one with a value everywhere.
     """
 
     left: Float32
     right: Float32
     dense: Float32
+    calm: UInt8 | None = None
 
 
 def _raw(matcher: Any, picture: UInt8, other: UInt8, *, before: int, after: int) -> npt.NDArray[np.int16]:
@@ -138,7 +140,7 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False) -> 
         alike=max(1.0, ALIKE * noise),
     )
     left = without_speckles(left, round(SUPPORT_SPECKLE_PX * float(np.clip(noise / CALM, 1, 3))))
-    return Match(left=left, right=right, dense=everywhere(left))
+    return Match(left=left, right=right, dense=everywhere(left), calm=calm.left)
 
 
 def _coarse(proxy: Proxy) -> tuple[Proxy, float]:

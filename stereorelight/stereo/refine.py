@@ -220,6 +220,11 @@ def joined(disparity: Float32, proxy: Proxy) -> Float32:
     return np.where(outline, cv2.medianBlur(sides, 5), sides)
 
 
+def lined(disparity: Float32, picture: UInt8) -> Float32:
+    """`disparity` with its outlines put on those of the picture."""
+    return outlined(disparity, _ramps(disparity).view(np.bool_), picture)
+
+
 def sided(disparity: Float32, proxy: Proxy) -> Float32:
     """`disparity` with its edges where both pictures speak for them."""
     ramps = _ramps(disparity)
@@ -239,6 +244,7 @@ def refine(
     *,
     known: Bool | None = None,
     ramps: bool = False,
+    calm: UInt8 | None = None,
     effort: Effort = EFFORTS["standard"],
     tau_px: float = 0.5,
 ) -> Refined:
@@ -247,8 +253,10 @@ def refine(
     dense     : (H, W) disparity with a value everywhere.   confirmed : (H, W), the right eye says the same.
     known     : (H, W), the rest of `dense` is no answer: the background beside it is put there.
     ramps     : the matcher leaves ramps and fattened outlines at edges, which are then taken out first.
+    calm      : the left picture with less grain, to tell things apart by.
     tau_px    : how far off a plane a neighbour may lie and still belong to the surface.
     """
+    calm = proxy.left if calm is None else calm
     fine = _from_rows_that_match(dense, proxy)
     sure = confirmed if known is None else confirmed & known
     behind = background(fine, sure)
@@ -263,8 +271,7 @@ def refine(
     if ramps:
         filled = joined(filled, proxy)
     else:
-        outline = cv2.dilate(_ramps(filled), np.ones((3, 3), np.uint8)) > 0
-        filled = outlined(filled, outline, proxy.calmed().left)
+        filled = lined(filled, calm)
     if effort.passes:
         planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
         filled = blended(blended(planes, tau_px=tau_px), tau_px=tau_px)[0]
