@@ -33,7 +33,7 @@ EVIDENCE = (
 COEFFICIENTS = np.array([1.75, 0.45, 0.94, -1.14, -0.77, 2.01, 1.27, -1.41, -1.62], dtype=np.float32)
 FLOOR = 0.3  # ground of which nothing is known but what lies beside it is right that often
 # log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log texture, edge nearby.
-SIGMA_COEFFICIENTS = (0.31, 1.197, 0.308, 0.184, 0.71)
+SIGMA_COEFFICIENTS = (0.078, 1.232, 0.306, 0.34, 0.578)
 MOST_SIGMA_PX = 8.0
 WINDOW = (7, 7)
 CONFIRMED_NEARBY, FLOW_NEARBY = (9, 9), (15, 15)

@@ -123,7 +123,7 @@ def without_speckles(disparity: Float32, smallest_px: int) -> Float32:
 def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False) -> Match:
     """Match both eyes by adaptive support, led by what SGBM says of the left one.
 
-    The one holds plain ground together, the other keeps each thing's own outline (docs/decisions/0020-adaptive-support.md).
+    The one holds plain ground together, the other keeps each thing's own outline (docs/decisions/0018-adaptive-support.md).
     exhaustive : eight directions of SGBM in place of three; slower, and much more memory: three where that would be more than about 2 GB.
     """
     noise = proxy.noise()

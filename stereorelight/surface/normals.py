@@ -24,7 +24,10 @@ RADII_PX = (1, 2, 4, 8, 16, 32)
 # Measured over expected error, on synthetic shots: fits finer than this are somewhat better than they look, coarse ones as they look.
 SIGMA_FINE_DEG, SIGMA_COARSE_DEG = 8.0, 16.0
 SIGMA_FINE_GAIN, SIGMA_COARSE_GAIN = 0.82, 1.05
-FITTED_GAIN, FITTED_TILT = 1.27, 0.0057  # of depth that matching has smoothed: of its own disagreement, and of Z_sigma over a pixel's width
+# Of depth that matching has smoothed, whose windows agree better than they are right: log(N_sigma, radians) as always, log of the windows' own
+# disagreement, and log of Z_sigma over a pixel's width.
+FITTED = (-0.522, 0.806, 0.43)
+LEAST_ERROR = 1e-4  # radians, and metres per metre
 
 
 def _facing(normals: Float64, towards: Float64) -> Float32:
@@ -96,8 +99,11 @@ def normals_and_sigma(
     if Z_sigma is None:
         return N, _as_sigma(error)
     tilt = camera.fx * as_float32(Z_sigma, "Z_sigma", size_hw=camera.size_hw) / depth
-    told = np.hypot(FITTED_GAIN * error, FITTED_TILT * np.nan_to_num(tilt, nan=0.0))
-    return N, np.minimum(np.degrees(told), 90).astype(np.float32)
+    always, own, smoothed = FITTED
+    with np.errstate(invalid="ignore", divide="ignore"):
+        log = always + own * np.log(np.maximum(error, LEAST_ERROR)) + smoothed * np.log(np.maximum(tilt, LEAST_ERROR))
+    told = np.where(np.isfinite(tilt), np.degrees(np.exp(log)), _as_sigma(error))
+    return N, np.minimum(told, 90).astype(np.float32)
 
 
 def _as_sigma(error: Float32) -> Float32:
