@@ -25,7 +25,7 @@ from stereorelight.shot.schema import Shot
 from stereorelight.stereo.rectify import Rectification
 from stereorelight.stereo.repair import repaired
 
-MATCH_NOISE_PX = 0.05  # what a good disparity is off by; nearer to it, a window need not grow
+MATCH_NOISE_PX = 0.01  # what matched disparity is off by from pixel to pixel, after its own smoothing; relit against the render, 0.05 smoothed too much
 
 
 @dataclass(kw_only=True, eq=False)

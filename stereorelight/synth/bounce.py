@@ -3,7 +3,7 @@
 In: points with normals and what the scene is lit by.  Out: (n, 3) what a white card there reads of light that comes from no light directly.
 A ray that meets nothing brings the scene's flat ambient light; one that meets a surface brings what that sends on of the lights, with their
 shadows, and of what itself gathers by one ray more, at whose end the ambient light stands for all that is left.  Surfaces pass light on as
-matte ones do; highlights do not.  Rays are spread by the cosine; their pattern is each point's own and never changes."""
+matte ones do; highlights do not.  Rays are spread by the cosine; those of neighbouring pixels make one even set, and never change."""
 
 from __future__ import annotations
 
@@ -20,20 +20,36 @@ from stereorelight.synth.scene import Tables, Vector
 
 BOUNCES = 2
 OFF_M = 1e-5  # along the normal: a ray must not find the surface that it leaves
-EVEN_PX = 2  # neighbours so far off on one surface are taken together: this light changes slowly
+EVEN_PX = 4  # neighbours so far off on one surface are taken together: this light changes slowly
+TILE_PX = 2 * EVEN_PX + 1  # side of the square of pixels whose rays make one even set, so that evening out hardly leaves grain
 ONE_SURFACE_COS, ONE_SURFACE_Z = 0.97, 0.02
 
 
 def gathered(
-    tables: Tables, points: Float64, normals: Float64, lights: Sequence[Light], ambient: Vector, rays: int, *, seed: int = 0, bounces: int = BOUNCES
+    tables: Tables,
+    points: Float64,
+    normals: Float64,
+    lights: Sequence[Light],
+    ambient: Vector,
+    rays: int,
+    *,
+    order: npt.NDArray[np.int64] | None = None,
+    seed: int = 0,
+    bounces: int = BOUNCES,
 ) -> Float64:
-    """(n, 3) of indirect light at `points` (n, 3) with unit `normals`; 0 where they are NaN."""
+    """(n, 3) of indirect light at `points` (n, 3) with unit `normals`; 0 where they are NaN.
+
+    order : (n,) which part of one even set of rays each point takes (`tiled`); by chance where None.
+    """
     met = np.isfinite(points).all(axis=-1) & np.isfinite(normals).all(axis=-1)
     out = np.zeros(points.shape)
     P, N = points[met] + OFF_M * normals[met], normals[met]
     if not len(P):
         return out
-    own = np.random.Generator(np.random.Philox(key=[seed, bounces])).random((len(points), 2))[met]
+    if order is None:
+        own = np.random.Generator(np.random.Philox(key=[seed, bounces])).random((len(points), 2))[met]
+    else:
+        own = 0.5 + rays * order[met][:, None] * np.array(GOLDEN)
     total = np.zeros(P.shape)
     u, v = _across(N)
     for k in range(rays):
@@ -54,6 +70,12 @@ def gathered(
         total += sent + np.where((hit >= 0)[:, None], np.nan_to_num(albedo) * further, 0.0)
     out[met] = total / rays
     return out
+
+
+def tiled(size_hw: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """(H * W,) the number of each pixel in its tile."""
+    y, x = np.mgrid[: size_hw[0], : size_hw[1]] % TILE_PX
+    return (y * TILE_PX + x).astype(np.int64).ravel()
 
 
 def _across(N: Float64) -> tuple[Float64, Float64]:

@@ -20,7 +20,7 @@ from stereorelight.arrays import Float32, Float64
 from stereorelight.camera import Camera, Eye, Rig
 from stereorelight.errors import ShotError
 from stereorelight.passes import Flag, Frame
-from stereorelight.synth.bounce import evened, gathered
+from stereorelight.synth.bounce import evened, gathered, tiled
 from stereorelight.synth.hits import FLIP as FLIP
 from stereorelight.synth.hits import Hits, blocked, cast, share_lit, shone
 from stereorelight.synth.lights import Light
@@ -124,7 +124,7 @@ def _render_eye(
     indirect = None
     if bounce:
         normals, Z = hits.normals.reshape(h, w, 3), hits.t.reshape(h, w)
-        found = gathered(tables, hits.points, hits.normals, lights, ambient, bounce, seed=int(eye == "right"))
+        found = gathered(tables, hits.points, hits.normals, lights, ambient, bounce, order=tiled((h, w)), seed=int(eye == "right"))
         around = evened(found.reshape(h, w, 3), hits.object.reshape(h, w), normals, Z).reshape(-1, 3)
         around[hits.object < 0] = ambient
         indirect = np.where((hits.object >= 0)[:, None], hits.albedo * around, 0.0)
