@@ -25,7 +25,7 @@ from stereorelight.shot.schema import Shot
 from stereorelight.stereo.rectify import Rectification
 from stereorelight.stereo.repair import repaired
 
-MATCH_NOISE_PX = 0.01  # what matched disparity is off by from pixel to pixel, after its own smoothing; relit against the render, 0.05 smoothed too much
+MATCH_NOISE_PX = 0.01  # what matched disparity is off by from pixel to pixel, after its own smoothing; 0.05 made relit faces too smooth
 
 
 @dataclass(kw_only=True, eq=False)

@@ -122,7 +122,8 @@ def told(scene: str, size: tuple[int, int], quality: str, shading: bool, cache: 
             whole = error[subject].sum()
             for name, part in whereabouts(scene, pair, rig.left.fx * rig.baseline_m).items():
                 share, its_own = 100 * error[part].sum() / whole, 100 * np.sqrt(error[part].sum() / power[part].sum())
-                print(f"{name:>12s}  {100 * part.sum() / subject.sum():5.1f} % of the subject, {share:5.1f} % of its squared error; its own {its_own:.1f} %")
+                size_of = 100 * part.sum() / subject.sum()
+                print(f"{name:>12s}  {size_of:5.1f} % of the subject, {share:5.1f} % of its squared error; its own {its_own:.1f} %")
         cast_exact = Parts(Z=pair["Z"], N=pair["N"], albedo=albedo, shadows=own)
         added = added_light(cast_exact, camera, [light], materials=materials, mattes=mattes)[light.name]
         error = light_figures(added, truth[f"{light.name}_lit"], region=subject).relative_rms_percent
