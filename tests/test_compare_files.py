@@ -283,6 +283,8 @@ def test_a_sequence_names_its_worst_frames(folder: Path, shots: Path, tmp_path: 
     (shots / "u.0001.exr").write_bytes((folder / "truth.exr").read_bytes())
     refused("compare", shots / "r.####.exr", shots / "u.####.exr", "--what", "depth", words=("no frame in common", "1001-1005"), kind="PlateError")
     refused("compare", shots / "r.####.exr", folder / "truth.exr", "--what", "depth", words=("single file",), kind="PlateError")
+    other = answer("compare", shots / "r.1002.exr", folder / "truth.exr", "--what", "depth")["depth"]
+    assert other["notes"] == ["by their headers the result is frame 1002 and the truth frame 0: are they of one moment?"]
 
 
 def test_flicker_of_a_shot(shots: Path, folder: Path, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from stereorelight.errors import PassError
 APART = 0.03  # of 1 / Z: pixels that differ by more are two surfaces
 COARSE_PX = 320  # width at which a crop is looked for
 OVERLAP = 0.4  # of the smaller picture that must lie on the larger
-LEAST_MATCH = 0.7  # correlation of the two depths that a crop needs; of noise it is 0.1, and of a result with 10 % of mistakes still 0.8
+LEAST_MATCH = 0.7  # correlation of the two depths that a crop needs; results with 10 % of mistakes have 0.72 to 0.94
 SAMPLES = 40_000
 BETTER = 0.03  # by so much more a crop must correlate than the resized picture does
 

@@ -134,7 +134,7 @@ def judge(
         notes += [note for note in look.notes if done == 0]
         total = look.groups if not total else added(total, look.groups)
         sure = look.sure if sure is None else sure + look.sure
-        each.append((number, figures_of(asked.what, look.groups)[0]))
+        each.append((number, [f for f in figures_of(asked.what, look.groups)[0] if f.region == "all"]))
         if len(numbers) > 1:
             look = None  # one frame at a time
     figures, nested = figures_of(asked.what, total)
@@ -145,7 +145,7 @@ def judge(
     if len(numbers) > 1:
         over_time, time_curves, worst, extra = _over_time(each)
         curves, notes, data = [*time_curves, *curves], notes + extra, {"worst_frames": [n for n, _ in worst]}
-        figures += [replace(f, region="worst_frame", table="worst frame") for f in dict(each)[worst[0][0]] if f.region == "all"]
+        figures += [replace(f, region="worst_frame") for f in dict(each)[worst[0][0]] if f.region == "all"]
         nested["worst_frame"] = {f.key: f.value if np.isfinite(f.value) else None for f in figures if f.region == "worst_frame"}
         if pictures:
             number = worst[0][0]

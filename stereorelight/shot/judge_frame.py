@@ -57,6 +57,7 @@ class _Result:
     passes: dict[str, Any]
     camera: Camera | None
     notes: tuple[str, ...] = ()
+    number: int | None = None
 
     @property
     def size_hw(self) -> tuple[int, int]:
@@ -85,7 +86,7 @@ def look_at(result_path: Path, truth_path: Path, *, asked: Asked) -> Look:
     name = PASS[asked.what]
     if name not in passes:
         raise PassError(f"{result_path}: has no pass {name!r}; there are: {', '.join(passes)}")
-    truth = _truth(truth_path, _Result(passes=passes, camera=camera), asked)
+    truth = _truth(truth_path, _Result(passes=passes, camera=camera, number=result.number), asked)
     truth = replace(truth, notes=(*result.notes, *truth.notes))
     return {"depth": _depth, "disparity": _disparity, "normals": _normals}[asked.what](passes, truth, camera, asked)
 
@@ -94,7 +95,7 @@ def _result(path: Path, asked: Asked) -> _Result:
     stated = asked.result
     if path.suffix.lower() == ".exr" and stated.layer is None and not stated.of_values:
         frame = read_frame(path)
-        return _Result(passes=dict(frame.passes), camera=frame.camera)
+        return _Result(passes=dict(frame.passes), camera=frame.camera, number=frame.number)
     raw = read_raw(path, layer=stated.layer, wanted=RAW[asked.what])
     notes, passes = [], dict[str, Any]()
     if raw.depth is not None:
@@ -185,6 +186,8 @@ def _own_truth(path: Path, result: _Result, asked: Asked) -> _Truth:
     size_hw = result.size_hw
     values = np.asarray(passes[name], np.float64)
     placement, notes = Placement(), list[str]()
+    if None not in (result.number, frame.number) and result.number != frame.number:
+        notes.append(f"by their headers the result is frame {result.number} and the truth frame {frame.number}: are they of one moment?")
     if values.shape[:2] != size_hw:
         level = passes.get("Z", passes.get("disparity"))
         other = result.passes.get("Z", result.passes.get("disparity"))

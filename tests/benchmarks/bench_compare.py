@@ -1,6 +1,6 @@
 """`compare` at 1920 x 1080: CPU and wall time of one comparison with its page, and memory over frames.
 
-    python tests/benchmarks/bench_compare.py [--frames 100]
+    python tests/benchmarks/bench_compare.py [--frames 100] [--size 480x270]
 
 A slanted floor, a wall and a sphere with 0.3 px of noise stand for a result; the truth is ours, or a renderer's ray length in centimetres with
 P and coded N beside it, so that everything has to be found out.  Memory is the peak of a fresh process, after 10 frames and after all."""
@@ -46,8 +46,8 @@ def scene(rig: Rig) -> dict[str, np.ndarray]:
     return {"Z": Z.astype(np.float32), "P": P, "N": N.astype(np.float32)}
 
 
-def files(folder: Path) -> None:
-    rig = rig_named("parallel", SIZE)
+def files(folder: Path, size: tuple[int, int]) -> None:
+    rig = rig_named("parallel", size)
     write_rig(folder / "rig.json", rig)
     true = scene(rig)
     rng = np.random.default_rng(0)
@@ -66,20 +66,23 @@ def one(arguments: list[str]) -> dict[str, float]:
     """A comparison in a fresh process: wall and CPU seconds, MiB at its peak."""
     code = "import sys; from stereorelight.cli import main; main(sys.argv[1:], standalone_mode=False)"
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    measure = f"import resource; {code}; print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10, file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", measure, *arguments], capture_output=True, text=True, check=True)
+    # VmHWM, since ru_maxrss of a child begins at its parent's.
+    peak = "print(next(line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')), file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", f"{code}; {peak}", *arguments], capture_output=True, text=True, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return {"wall_s": time.perf_counter() - start, "cpu_s": cpu, "peak_mib": float(done.stderr.split()[-1])}
+    return {"wall_s": time.perf_counter() - start, "cpu_s": cpu, "peak_mib": int(done.stderr.split()[-1]) / 1024}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--frames", type=int, default=100)
-    frames = parser.parse_args().frames
+    parser.add_argument("--size", default="480x270", help="Of the frames whose memory is looked at.")
+    asked = parser.parse_args()
+    frames, small = asked.frames, tuple(int(n) for n in asked.size.split("x"))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        files(folder)
+        files(folder, SIZE)
         result, rig = str(folder / "result.exr"), str(folder / "rig.json")
         for truth in ("ours.exr", "foreign.exr"):
             for what in ("depth", "normals"):
@@ -88,13 +91,17 @@ def main() -> None:
                 told = one(["compare", result, str(folder / truth), "--what", what, *options, *page])
                 size = (folder / "page.html").stat().st_size / 1e6
                 print(f"{what} against {truth}, with page ({size:.1f} MB): " + json.dumps({k: round(v, 1) for k, v in told.items()}), flush=True)
+        folder = folder / "shot"
+        folder.mkdir()
+        files(folder, (small[0], small[1]))
+        rig = str(folder / "rig.json")
         for k in range(frames):
             for source, link in (("result", "r"), ("ours", "t")):
                 (folder / f"{link}.{1001 + k}.exr").symlink_to(folder / f"{source}.exr")
         for last in (10, frames):
             shots = [str(folder / f"{name}.####.exr") for name in "rt"]
             told = one(["compare", *shots, "--what", "depth", "--rig", rig, "--frames", f"1001-{1000 + last}"])
-            print(f"{last} frames: " + json.dumps({k: round(v, 1) for k, v in told.items()}), flush=True)
+            print(f"{last} frames of {asked.size}: " + json.dumps({k: round(v, 1) for k, v in told.items()}), flush=True)
 
 
 if __name__ == "__main__":
