@@ -207,6 +207,24 @@ def test_files_that_hold_nothing_of_the_kind(folder: Path) -> None:
     refused("compare", result, folder / "truth.exr", "--what", "depth", "--frames", "1-3", words=("single file",), kind="PlateError")
 
 
+def test_a_result_of_another_tool(folder: Path, true: dict[str, Any]) -> None:
+    """Taken as ours are, and that is said; or as stated."""
+    Z = read_frame(folder / "result.exr")["Z"]
+    plain = folder / exr({"Z": Z})(folder)
+    found = answer("compare", plain, folder / "truth.exr", "--what", "depth")["depth"]
+    assert "foreign.exr: the result is taken as ours are" in found["notes"][0]
+    assert found["percent"]["all"]["average_percent"] == pytest.approx(0.8, abs=0.05)
+    for write, options in (
+        (exr({"Z": 100 * Z}), ("--result-unit", "cm")),
+        (pfm(1 / Z), ("--result-is", "inverse")),
+        (png(np.rint(5000 * Z).astype(np.uint16)), ("--result-unit", 1 / 5000)),
+    ):
+        again = answer("compare", folder / write(folder), folder / "truth.exr", "--what", "depth", *options)["depth"]
+        assert again["percent"]["all"]["average_percent"] == pytest.approx(found["percent"]["all"]["average_percent"], rel=0.01)
+        assert "as stated" in again["notes"][0]
+    refused("compare", folder / "foreign.png", folder / "truth.exr", "--what", "depth", words=("foreign.png", "--result-unit"))
+
+
 def test_gates_and_their_exit_code(folder: Path) -> None:
     files = ("compare", folder / "result.exr", folder / "truth.exr", "--what", "depth", "--rig", folder / "rig.json")
     held = call(*files, "--gate", "bad2<3, normal_median<90, cover>=100, bad2@flat<20, avg<1")

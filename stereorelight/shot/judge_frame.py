@@ -95,7 +95,8 @@ def _result(path: Path, asked: Asked) -> _Result:
     stated = asked.result
     if path.suffix.lower() == ".exr" and stated.layer is None and not stated.of_values:
         frame = read_frame(path)
-        return _Result(passes=dict(frame.passes), camera=frame.camera, number=frame.number)
+        taken = "" if read_raw_header(path) else f"{path.name}: the result is taken as ours are: Z along the axis in m, N in the scene frame"
+        return _Result(passes=dict(frame.passes), camera=frame.camera, number=frame.number, notes=(taken,) if taken else ())
     raw = read_raw(path, layer=stated.layer, wanted=RAW[asked.what])
     notes, passes = [], dict[str, Any]()
     if raw.depth is not None:
