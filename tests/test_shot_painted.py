@@ -103,6 +103,19 @@ def test_ink_covers_what_is_beneath_and_the_sum_still_holds(tmp_path: Path, mode
     assert line.max() > 0.9
 
 
+def test_a_sphere_a_frame_is_not_kept_for_ever(tmp_path: Path) -> None:
+    """A picture a frame: each frame has its own, and only the last one stays in memory beside what every frame asks for."""
+    for n in (1, 2, 3):
+        write_exr(tmp_path / f"s.{n:04d}.exr", dict.fromkeys("RGB", np.full((8, 8), n, np.float32)))
+    sphere(tmp_path)
+    text = '[[painted]]\nname = "a"\nfile = "s.####.exr"\n[[painted]]\nname = "b"\nfile = "clay.exr"\n'
+    made = lighting(tmp_path, text)
+    for n in (1, 2, 3):
+        layer = made.lit(n, plate=PLATE, passes=PASSES, camera=CAMERA).layers["paint_a"]
+        np.testing.assert_allclose(layer[KNOWN], n)
+        assert {path.name for path in made._pictures} == {f"s.{n:04d}.exr", "clay.exr"}
+
+
 def test_a_fade_reaches_paint(tmp_path: Path) -> None:
     sphere(tmp_path)
     text = '[[painted]]\nname = "clay"\nfile = "clay.exr"\n[relight]\nfade = 1.0\n'

@@ -192,9 +192,11 @@ class Lighting:
         return layers | faded(own, gobo_factor(P, light, self._picture(light.gobo, number), camera=camera))
 
     def _picture(self, name: str, number: int | None) -> Float32:
-        """A gobo or a lit sphere, read once."""
+        """A gobo or a lit sphere, read once, and kept while frames ask for it."""
         path = self._path(name, number)
         if path not in self._pictures:
+            asked = set(self._files(number))
+            self._pictures = {kept: picture for kept, picture in self._pictures.items() if kept in asked}
             self._pictures[path] = np.maximum(read_plate(path, colour=self.colour), 0)
         return self._pictures[path]
 
