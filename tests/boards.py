@@ -7,12 +7,13 @@ curve, noise, 8 bits, JPEG.  Board and camera frames as in calibration/board.py 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
-from stereorelight.arrays import Float64, UInt8
+from stereorelight.arrays import Float64
 from stereorelight.calibration.board import Board
 from stereorelight.calibration.corners import Detection
 from stereorelight.camera import Camera
@@ -59,11 +60,12 @@ def render_board(
     noise: float = 0.0,
     jpeg: int | None = None,
     linear: bool = False,
+    deep: bool = False,
     mirrored: bool = False,
     seed: int = 0,
     samples: tuple[int, int] = (SAMPLES, STEP),
-) -> tuple[UInt8, Float64]:
-    """The board as this camera sees it: (H, W) uint8 sRGB (or linear) and its true corners (n, 2), NaN outside the frame.
+) -> tuple[Any, Float64]:
+    """The board as this camera sees it: (H, W) uint8 (`deep`: uint16) sRGB (or linear) and its true corners (n, 2), NaN outside the frame.
 
     white, black, surround : reflectances.  shading: change of light from edge to edge of the frame, along x and y.
     defocus_px             : radius of the disc that each point becomes.  motion_px: movement during exposure.
@@ -81,8 +83,9 @@ def render_board(
     seen = np.clip(light * exposure, 0, 1)
     if not linear:
         seen = np.where(seen <= 0.0031308, seen * 12.92, 1.055 * np.power(seen, 1 / 2.4, where=seen > 0, out=np.zeros_like(seen)) - 0.055)
-    level = seen * 255 + noise * np.random.default_rng(seed).standard_normal(seen.shape)
-    picture: UInt8 = np.clip(np.rint(level), 0, 255).astype(np.uint8)
+    white_code = 65535 if deep else 255
+    level = seen * white_code + noise * white_code / 255 * np.random.default_rng(seed).standard_normal(seen.shape)
+    picture: Any = np.clip(np.rint(level), 0, white_code).astype(np.uint16 if deep else np.uint8)
     if jpeg is not None:
         picture = cv2.imdecode(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, jpeg])[1], cv2.IMREAD_GRAYSCALE)
     corners = true_corners(board, camera, R, t)

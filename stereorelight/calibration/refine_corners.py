@@ -2,7 +2,8 @@
 
 In: a grey picture (H, W) float32 in 8-bit levels as encoded, and corners as a detector gave them (pixels).  Out: `Refined`.
 The board's own geometry says how each window lies (pitch, perspective, the lens's bend of the edges) and what else is in it
-(markers are left out).  Motion during the exposure is fitted where the edges say that there is some.  See engine/corners.py."""
+(markers are left out).  Motion during the exposure is fitted where the edges say that there is some.  The picture's tone from
+black to white and the blur's tail are fitted to all corners together, whatever curve the camera recorded.  See engine/corner_model.py."""
 
 from __future__ import annotations
 
@@ -10,9 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float32, Float64
 from stereorelight.calibration.board import APRILGRID_BORDER_BITS, Board
+from stereorelight.engine.corner_model import NO_TONE
 from stereorelight.engine.corners import fit_corners
 
 REACH = {"chessboard": 0.5, "charuco": 0.6, "aprilgrid": 0.27}  # half the window, in squares
@@ -24,6 +27,14 @@ TRIED_FOR_MOTION = 16
 MOTION_PAYS = 0.97  # of the squared residual
 FURTHEST, FURTHEST_PX = 0.1, (1.5, 6.0)  # of a square, and in pixels: how far a detector may have been off
 CLIP_LEVELS = 1.0  # an 8-bit picture clips within a level of its ends
+FEWEST_SHARED, TRIED_FOR_SHARED, SHARED_TURNS = 12, 24, 3
+MOST_CLIPPED = 0.1  # of the pixels about the board
+QUANTUM = 0.29  # levels, of 8 bits
+SHARED_WIDTH = np.array([1.0, 3.0])  # how large the blur's tail and the tone's factor may be expected
+SHARED_MOST = np.array([2.0, 8.0])
+# The tail that leaves the smallest residual overshoots, since the series is cut short after it: of discs, Gaussians and bare pixels,
+# this share of it leaves corners truest.
+TAIL_SHARE = 0.6
 NEIGHBOUR_PX = 0.5  # a corner may stand so far off the smooth grid before it is doubted, or 8 times the rest
 
 
@@ -134,17 +145,12 @@ def refine_corners(
     reach: float | None = None,
     low: float = 0.0,
     high: float = 255.0,
-    decode_srgb: bool = False,
 ) -> Refined:
     """Every corner fitted to the picture.  Where a fit does not settle the detector's corner stays, with sigma NaN.
 
     grey : (H, W) float32, 8-bit levels as encoded (the model takes up the curve).  ids: rows of board.points_m.  px: (n, 2) starts.
     low, high : levels at which the picture clips.
-    decode_srgb : fit in linear light; halves what is left on sharp pictures that are coded so, and hurts on others.
     """
-    if decode_srgb:
-        e = np.clip(grey / 255, 0, 1)
-        grey = (255 * np.where(e <= 0.04045, e / 12.92, ((e + 0.055) / 1.055) ** 2.4)).astype(np.float32)
     wide = REACH[board.kind] if reach is None else reach
     near = min(wide, FIRST_REACH[board.kind])
     px = np.asarray(px, np.float64)
@@ -176,25 +182,49 @@ def refine_corners(
         motion, blur = _motion(grey, now, shapes, bends, depths, float(s1), float(s2), near, fit, furthest_px, fixed)
     if motion == (0.0, 0.0):
         blur = (float(s1), float(s2))
-    for _ in range(2):
+
+    def fitted(rows: npt.NDArray[np.int64], shared: Float64 | None = None) -> Float64:
         shapes, bends = local_shapes(board, ids, now)
         margin = 1.3 * max(blur) + 0.5 + 0.4 * float(np.hypot(*motion))
         # The next edges stand one square away: their blur must stay out of the window.
         clear = 1.0 if board.spacing is None else board.spacing
         here = min(wide, max(0.7 * near, clear - margin / pitch))
-        fit = fit_corners(
+        return fit_corners(
             grey,
-            now,
-            shapes,
-            bends,
-            depths,
+            now[rows],
+            shapes[rows],
+            bends[rows],
+            depths[rows],
             blur=blur,
             motion=motion,
             margin_px=margin,
             reach=max(here, 4.5 / pitch),
             furthest_px=furthest_px,
+            tone=tone_table(factors[1]),
+            tail=TAIL_SHARE * factors[0],
+            noise=noise,
+            own_bend=not together,
+            shared=shared,
             **fixed,
         )
+
+    # Where whites or blacks clip, the ends between which the tone lies are not seen.
+    together = good.sum() >= FEWEST_SHARED and _clipped_share(grey, now, low, high) < MOST_CLIPPED
+    factors, noise = np.zeros(2), 0.0
+    if together:
+        few = np.flatnonzero(good)
+        few = few[:: max(1, len(few) // TRIED_FOR_SHARED)]
+        for _ in range(SHARED_TURNS):
+            shared = np.zeros((len(few), 2, 3))
+            some = fitted(few, shared)
+            now[few] = np.where(np.isfinite(some[:, :1]), some[:, :2], now[few])
+            every, prior = shared.sum(axis=0), 1 / SHARED_WIDTH**2
+            factors = factors + np.linalg.solve(every[:, :2] + np.diag(prior), every[:, 2] - prior * factors)
+            factors = np.clip(factors, -SHARED_MOST, SHARED_MOST)
+            noise = picture_noise(grey, now)
+    all_rows = np.arange(len(px))
+    for _ in range(2):
+        fit = fitted(all_rows)
         now = _sane(board, ids, px, fit)
     good = np.isfinite(fit[:, 0]) & (np.abs(now - fit[:, :2]).max(axis=1) == 0)
     if not good.any():
@@ -217,6 +247,40 @@ def refine_corners(
         bright_first=np.where(good, np.sign(fit[:, 10]), 0.0),
         rms=float(np.median(fit[good, 16])),
     )
+
+
+def _about(grey: Float32, px: Float64) -> Float32:
+    (x0, y0), (x1, y1) = np.floor(px.min(axis=0)).astype(int), np.ceil(px.max(axis=0)).astype(int) + 1
+    return grey[max(y0, 0) : max(y1, 3), max(x0, 0) : max(x1, 3)]
+
+
+def _clipped_share(grey: Float32, px: Float64, low: float, high: float) -> float:
+    part = _about(grey, px)
+    return float(np.mean((part <= low + CLIP_LEVELS) | (part >= high - CLIP_LEVELS)))
+
+
+def picture_noise(grey: Float32, px: Float64) -> float:
+    """Levels of noise, one sigma, about corners `px`: the median of a filter that flat ground and gradients leave at 0 (Immerkaer 1996)."""
+    import cv2
+
+    mask = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6
+    return max(float(np.median(np.abs(cv2.filter2D(_about(grey, px), -1, mask)))) / 0.6745, QUANTUM)
+
+
+def tone_table(factor: float) -> Float64:
+    """(TONE_STEPS + 1, 2) an edge's tone at p = -1..1 and its slope by `factor`: the logarithm of light that goes from 1 to e^factor.
+
+    0 is linear; a power of light, as of sRGB, and an S-shaped curve have the tone of a logarithm, if of another range, to a hundredth."""
+    t = (NO_TONE[:, 0] + 1) / 2
+
+    def bent(f: float) -> Float64:
+        if abs(f) < 1e-6:
+            return NO_TONE[:, 0]
+        tone: Float64 = 2 * np.log1p(np.expm1(f) * t) / f - 1
+        return tone
+
+    h = 0.02
+    return np.ascontiguousarray(np.stack([bent(factor), (bent(factor + h) - bent(factor - h)) / (2 * h)], axis=-1))
 
 
 def _motion(

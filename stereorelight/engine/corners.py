@@ -1,10 +1,7 @@
 """Corners where two edges cross, each fitted to the pixels around it.
 
 In: a grey picture (H, W) float32, as encoded, and for each corner a start, its edges and its window.  Out: one row a corner.
-Model: level = (A + B p + C p^2)(1 + h . x) with p = mean over the exposure's path m of erf(e1 / s1) erf(e2 / s2); e1, e2 are
-the distances to the two edges, parabolas of given curvature.  C takes up the picture's transfer curve, h the shading; levels
-clip where the picture does.  Everything but the shading is even about the corner, so what the model lacks hardly moves it.
-Gauss-Newton with Levenberg's damping, all parameters at once."""
+Model: engine/corner_model.py.  Gauss-Newton with Levenberg's damping, all parameters at once."""
 
 from __future__ import annotations
 
@@ -14,16 +11,18 @@ import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Float32, Float64
+from stereorelight.engine.corner_model import ERRORS, NO_TONE, PARAMETERS, SHARED, looked_up, normal_equations, product
 from stereorelight.engine.rows import in_row_blocks
 
 STEPS = 40
-PARAMETERS = 13  # cx cy t1 t2 log(s1) log(s2) A B C hx hy mx my
 COLUMNS = 20  # x y sigma_x sigma_y cov_xy t1 t2 s1 s2 A B C hx hy mx my rms pixels cost steps
 SETTLED_PX = 1e-4
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(9)
 NODES, WEIGHTS = NODES / 2, WEIGHTS / 2  # over -1/2 .. 1/2
 FEWEST_PIXELS = 28
 BLOCK_CORNERS = 4
+LEFT_OUT = 1e30  # on the diagonal: a parameter that stays
+LACKING = 0.05  # what the model lacks of an edge, of its contrast
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -61,73 +60,6 @@ def _solve(L, b, x):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _normal_equations(q, n, px, py, level, k1, k2, moving, low, high, J, JJ, Jr, nodes, weights):
-    """Fill JJ = J'J and Jr = J'r at parameters q; the sum of squared residuals."""
-    root = 2.0 / math.sqrt(math.pi)
-    c1, n1, c2, n2 = math.cos(q[2]), math.sin(q[2]), math.cos(q[3]), math.sin(q[3])
-    i1, i2 = math.exp(-q[4]), math.exp(-(q[4] if moving else q[5]))
-    count = nodes.shape[0] if moving else 1
-    JJ[:, :] = 0.0
-    Jr[:] = 0.0
-    cost = 0.0
-    P = J.shape[0]
-    for i in range(n):
-        dx, dy = px[i] - q[0], py[i] - q[1]
-        p = 0.0
-        for a in range(P):
-            J[a] = 0.0
-        for k in range(count):
-            t = nodes[k] if moving else 0.0
-            w = weights[k] if moving else 1.0
-            x, y = dx - t * q[11], dy - t * q[12]
-            a1, a2 = -x * n1 + y * c1, -x * n2 + y * c2  # along each edge
-            u = (x * c1 + y * n1 + 0.5 * k1 * a1 * a1) * i1
-            v = (x * c2 + y * n2 + 0.5 * k2 * a2 * a2) * i2
-            eu, ev = math.erf(u), math.erf(v)
-            p += w * eu * ev
-            gu = w * root * math.exp(-u * u) * ev if abs(u) < 5.0 else 0.0
-            gv = w * root * math.exp(-v * v) * eu if abs(v) < 5.0 else 0.0
-            ux, uy = (c1 - k1 * a1 * n1) * i1, (n1 + k1 * a1 * c1) * i1
-            vx, vy = (c2 - k2 * a2 * n2) * i2, (n2 + k2 * a2 * c2) * i2
-            px_, py_ = gu * ux + gv * vx, gu * uy + gv * vy
-            J[0] -= px_
-            J[1] -= py_
-            J[2] += gu * a1 * i1
-            J[3] += gv * a2 * i2
-            J[4] -= gu * u
-            if moving:
-                J[4] -= gv * v
-                J[11] -= t * px_
-                J[12] -= t * py_
-            else:
-                J[5] -= gv * v
-        shade = 1.0 + q[9] * px[i] + q[10] * py[i]
-        base = q[6] + q[7] * p + q[8] * p * p
-        model = base * shade
-        if model >= high or model <= low:  # the picture clips too: nothing to learn of how far
-            model = high if model >= high else low
-            r = level[i] - model
-            cost += r * r
-            continue
-        r = level[i] - model
-        cost += r * r
-        slope = (q[7] + 2.0 * q[8] * p) * shade
-        for a in range(6):
-            J[a] *= slope
-        J[11] *= slope
-        J[12] *= slope
-        J[6], J[7], J[8] = shade, p * shade, p * p * shade
-        J[9], J[10] = base * px[i], base * py[i]
-        for a in range(P):
-            ja = J[a]
-            if ja != 0.0:
-                Jr[a] += ja * r
-                for b in range(a + 1):
-                    JJ[a, b] += ja * J[b]
-    return cost
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _window(picture, ix, iy, x0, y0, shape, depth, margin, reach, radius, px, py, level):
     """Pixels of one corner's window into px, py (from the middle pixel) and level; how many."""
     H, W = picture.shape
@@ -157,12 +89,38 @@ def _window(picture, ix, iy, x0, y0, shape, depth, margin, reach, radius, px, py
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fit(first, end, picture, starts, shapes, bends, depths, blur, motion, margin, reach, most_radius, furthest, low, high, nodes, weights, out):
-    P = 13
+def _fit(
+    first,
+    end,
+    picture,
+    starts,
+    shapes,
+    bends,
+    depths,
+    blur,
+    motion,
+    margin,
+    reach,
+    most_radius,
+    furthest,
+    low,
+    high,
+    nodes,
+    weights,
+    errors,
+    tone,
+    tail,
+    noise,
+    own_bend,
+    shared,
+    out,
+):
+    P, K = PARAMETERS, SHARED
     moving = motion[0] != 0.0 or motion[1] != 0.0
     most = (2 * int(np.ceil(most_radius)) + 3) ** 2
-    px, py, level = np.empty(most), np.empty(most), np.empty(most)
-    J, JJ, Jr = np.empty(P), np.empty((P, P)), np.empty(P)
+    px, py, level, trust = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
+    J, JJ, Jr = np.empty(P + K), np.empty((P, P)), np.empty(P)
+    wideJJ, wideJr, cross = np.empty((P + K, P + K)), np.empty(P + K), np.empty((K, P))
     nextJJ, nextJr, L = np.empty((P, P)), np.empty(P), np.empty((P, P))
     q, trial, step, unit = np.empty(P), np.empty(P), np.empty(P), np.empty(P)
     for c in range(first, end):
@@ -194,10 +152,21 @@ def _fit(first, end, picture, starts, shapes, bends, depths, blur, motion, margi
             dx, dy = px[i] - q[0], py[i] - q[1]
             side = (S[0, 0] * dx + S[0, 1] * dy) * (S[1, 0] * dx + S[1, 1] * dy)
             same += (level[i] - mean) * (1.0 if side > 0 else -1.0)
-        q[7] = (0.45 if same > 0 else -0.45) * (bright - dark)
+        sign = 1.0 if same > 0 else -1.0
+        q[7] = 0.45 * (bright - dark)
         if moving:
             q[11], q[12] = motion[0], motion[1]
-        cost = _normal_equations(q, n, px, py, level, bends[c, 0], bends[c, 1], moving, low, high, J, JJ, Jr, nodes, weights)
+        trust[:n] = 1.0
+        if noise > 0.0:  # what the model lacks grows with the tone's slope: where noise does not cover it, steep parts weigh less
+            c1, n1, c2, n2 = math.cos(q[2]), math.sin(q[2]), math.cos(q[3]), math.sin(q[3])
+            for i in range(n):
+                dx, dy = px[i] - q[0], py[i] - q[1]
+                p = sign * product(q, dx, dy, 1 / blur[0], 1 / blur[1], c1, n1, c2, n2, 0.0, 0.0, moving, tail, errors, J, nodes, weights)
+                lacking = LACKING * q[7] * looked_up(tone, p)[1] / noise
+                trust[i] = 1.0 / math.sqrt(1.0 + lacking * lacking)
+        cost = normal_equations(
+            q, n, px, py, level, trust, sign, tone, tail, bends[c, 0], bends[c, 1], moving, low, high, errors, P, J, JJ, Jr, nodes, weights
+        )
         damping = 1e-3
         steps = quiet = 0
         settled = False
@@ -209,7 +178,7 @@ def _fit(first, end, picture, starts, shapes, bends, depths, blur, motion, margi
                 L[11, 11], L[12, 12] = 1.0, 1.0
             else:
                 L[5, 5] = 1.0
-            L[8, 8] += 1e-3 * n  # the curve's bend and the shading stay small where nothing shows them
+            L[8, 8] += 1e-3 * n if own_bend else LEFT_OUT  # the curve's bend and the shading stay small where nothing shows them
             L[9, 9] += 1e-3 * n
             L[10, 10] += 1e-3 * n
             if not _factor(L):
@@ -222,7 +191,29 @@ def _fit(first, end, picture, starts, shapes, bends, depths, blur, motion, margi
                 trial[a] = q[a] + step[a]
             trial[4] = min(max(trial[4], -1.1), 2.7)
             trial[5] = min(max(trial[5], -1.1), 2.7)
-            next_cost = _normal_equations(trial, n, px, py, level, bends[c, 0], bends[c, 1], moving, low, high, J, nextJJ, nextJr, nodes, weights)
+            next_cost = normal_equations(
+                trial,
+                n,
+                px,
+                py,
+                level,
+                trust,
+                sign,
+                tone,
+                tail,
+                bends[c, 0],
+                bends[c, 1],
+                moving,
+                low,
+                high,
+                errors,
+                P,
+                J,
+                nextJJ,
+                nextJr,
+                nodes,
+                weights,
+            )
             if next_cost <= cost:
                 moved = math.hypot(trial[0] - q[0], trial[1] - q[1])
                 drop = cost - next_cost
@@ -239,7 +230,7 @@ def _fit(first, end, picture, starts, shapes, bends, depths, blur, motion, margi
                 if damping > 1e7:  # no smaller step helps: this is the bottom
                     settled = True
                     break
-        if not settled or math.hypot(q[0] + ix - x0, q[1] + iy - y0) > furthest:
+        if not settled or q[7] <= 0.0 or math.hypot(q[0] + ix - x0, q[1] + iy - y0) > furthest:
             continue
         L[:, :] = JJ
         for a in range(P):
@@ -248,6 +239,8 @@ def _fit(first, end, picture, starts, shapes, bends, depths, blur, motion, margi
             L[11, 11], L[12, 12] = 1.0, 1.0
         else:
             L[5, 5] = 1.0
+        if not own_bend:
+            L[8, 8] += LEFT_OUT
         if not _factor(L):
             continue
         variance = cost / max(n - 11, 1)
@@ -263,8 +256,47 @@ def _fit(first, end, picture, starts, shapes, bends, depths, blur, motion, margi
         out[c, 7], out[c, 8] = math.exp(q[4]), math.exp(q[4] if moving else q[5])
         for a in range(5):
             out[c, 9 + a] = q[6 + a]
+        out[c, 10] *= sign
         out[c, 14], out[c, 15] = q[11], q[12]
         out[c, 16], out[c, 17], out[c, 18], out[c, 19] = math.sqrt(cost / n), n, cost, steps
+        if not shared.shape[0]:
+            continue
+        normal_equations(
+            q,
+            n,
+            px,
+            py,
+            level,
+            trust,
+            sign,
+            tone,
+            tail,
+            bends[c, 0],
+            bends[c, 1],
+            moving,
+            low,
+            high,
+            errors,
+            P + K,
+            J,
+            wideJJ,
+            wideJr,
+            nodes,
+            weights,
+        )
+        # What this corner says of the shared factors, once its own parameters have followed them: Schur's complement.
+        for a in range(K):
+            cross[a] = wideJJ[P + a, :P]
+            _solve(L, cross[a], step)
+            for b in range(K):
+                t = wideJJ[P + max(a, b), P + min(a, b)]
+                for k in range(P):
+                    t -= step[k] * wideJJ[P + b, k]
+                shared[c, a, b] = t / variance
+            t = wideJr[P + a]
+            for k in range(P):
+                t -= step[k] * wideJr[k]
+            shared[c, a, K] = t / variance
 
 
 def fit_corners(
@@ -282,6 +314,11 @@ def fit_corners(
     furthest_px: float = 2.0,
     low: float = -np.inf,
     high: float = np.inf,
+    tone: Float64 = NO_TONE,
+    tail: float = 0.0,
+    noise: float = 0.0,
+    own_bend: bool = True,
+    shared: Float64 | None = None,
 ) -> Float64:
     """(n, COLUMNS) float64: x y sigma_x sigma_y cov_xy t1 t2 s1 s2 A B C hx hy mx my rms pixels cost steps; NaN where not settled.
 
@@ -289,9 +326,15 @@ def fit_corners(
     bends  : (n, 2) curvature of each edge, 1/px.  depths: (n, 4) squares of clean ground in the quadrants (- -, + -, - +, + +).
     blur   : start of s1, s2 in pixels (erf(e/s): s is sqrt 2 times a Gaussian's sigma).  motion: start of the path; zero: none is fitted.
     reach  : half the window in squares.  low, high: levels at which the picture clips.
+    tone   : (TONE_STEPS + 1, 2) T(p) at p = -1..1, evenly, and its slope by the factor that bends it.
+    tail   : the blur's excess of the fourth moment: 0 for a Gaussian.  noise: levels, one sigma; 0 where not known.
+    own_bend : whether C is fitted.
+    shared : (n, 2, 3), zeros, filled where given: of each corner that settled, normal matrix and right side of what all corners share,
+             `tail` and the tone's factor, once its own parameters have followed; to be summed.
     """
     out = np.full((len(starts), COLUMNS), np.nan)
     args = (picture, starts, shapes, bends, depths, np.array(blur, float), np.array(motion, float), float(margin_px), float(reach))
-    more = (float(most_radius_px), float(furthest_px), float(low), float(high), NODES, WEIGHTS, out)
-    in_row_blocks(lambda first, end: _fit(first, end, *args, *more), len(starts), block_rows=BLOCK_CORNERS)
+    more = (float(most_radius_px), float(furthest_px), float(low), float(high), NODES, WEIGHTS, ERRORS, tone, float(tail))
+    last = (float(noise), own_bend, np.zeros((0, SHARED, SHARED + 1)) if shared is None else shared, out)
+    in_row_blocks(lambda first, end: _fit(first, end, *args, *more, *last), len(starts), block_rows=BLOCK_CORNERS)
     return out

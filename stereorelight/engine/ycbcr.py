@@ -53,10 +53,10 @@ def _matrix(n, luma, blue, red, r_cr, g_cb, g_cr, b_cb, r, g, b):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _curve(n, pairs, low, per_step, row, found, halves):
+def _curve(n, pairs, low, per_step, row, steps, found, halves):
     """`row` through a curve sampled evenly; beyond its ends the outer steps go on straight.
 
-    pairs : `pairs_of` the curve.  found (n,) int64 is scratch, halves the same memory as float32.
+    pairs : `pairs_of` the curve.  steps (n,) int32 and found (n,) int64 are scratch, halves is found's memory as float32.
     """
     last = f4(pairs.shape[0] - 1)
     # Three loops: the first and the last become vector code, and the look-up between them is one load a sample.
@@ -64,10 +64,10 @@ def _curve(n, pairs, low, per_step, row, found, halves):
         t = (row[i] - low) * per_step
         inside = t if t > f4(0) else f4(0)
         step = np.int32(inside if inside < last else last)
-        found[i] = step
+        steps[i] = step
         row[i] = t - f4(step)
     for i in range(n):
-        found[i] = pairs[np.uint32(found[i])]
+        found[i] = pairs[np.uint32(steps[i])]
     for i in range(n):
         row[i] = halves[2 * i] + row[i] * halves[2 * i + 1]
 
@@ -91,11 +91,11 @@ def _interleaved_matrix(n, r, g, b, m, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _finished(n, r, g, b, pairs, low, per_step, m, found, halves, out):
+def _finished(n, r, g, b, pairs, low, per_step, m, steps, found, halves, out):
     if pairs.shape[0]:
-        _curve(n, pairs, low, per_step, r, found, halves)
-        _curve(n, pairs, low, per_step, g, found, halves)
-        _curve(n, pairs, low, per_step, b, found, halves)
+        _curve(n, pairs, low, per_step, r, steps, found, halves)
+        _curve(n, pairs, low, per_step, g, steps, found, halves)
+        _curve(n, pairs, low, per_step, b, steps, found, halves)
     if m.shape[0] == 3:
         _interleaved_matrix(n, r, g, b, m, out)
     else:
@@ -128,7 +128,8 @@ def _from_ycbcr(first, end, luma, blue, red, halved, siting, zeros, spans, weigh
     rows = (H + 1) // 2 if halved[0] else H
     room = W + 4
     line, l, cb, cr = np.empty(room, f4), np.empty(room, f4), np.empty(room, f4), np.empty(room, f4)
-    r, g, b, found = np.empty(room, f4), np.empty(room, f4), np.empty(room, f4), np.empty(room, np.int64)
+    r, g, b = np.empty(room, f4), np.empty(room, f4), np.empty(room, f4)
+    steps, found = np.empty(room, np.int32), np.empty(room, np.int64)
     halves = found.view(np.float32)
     above, below, before, after = siting
     for y in range(first, end):
@@ -136,19 +137,20 @@ def _from_ycbcr(first, end, luma, blue, red, halved, siting, zeros, spans, weigh
         _chroma(y, n, blue, rows, halved, above, below, before, after, zeros[1], spans[1], line, cb)
         _chroma(y, n, red, rows, halved, above, below, before, after, zeros[1], spans[1], line, cr)
         _matrix(W, l, cb, cr, weights[0], weights[1], weights[2], weights[3], r, g, b)
-        _finished(W, r, g, b, pairs, low, per_step, m, found, halves, out[y])
+        _finished(W, r, g, b, pairs, low, per_step, m, steps, found, halves, out[y])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _from_rgb(first, end, red, green, blue, zero, span, pairs, low, per_step, m, out):
     W = out.shape[1] // 3
-    r, g, b, found = np.empty(W, f4), np.empty(W, f4), np.empty(W, f4), np.empty(W, np.int64)
+    r, g, b = np.empty(W, f4), np.empty(W, f4), np.empty(W, f4)
+    steps, found = np.empty(W, np.int32), np.empty(W, np.int64)
     halves = found.view(np.float32)
     for y in range(first, end):
         _level(W, red[y], zero, span, r)
         _level(W, green[y], zero, span, g)
         _level(W, blue[y], zero, span, b)
-        _finished(W, r, g, b, pairs, low, per_step, m, found, halves, out[y])
+        _finished(W, r, g, b, pairs, low, per_step, m, steps, found, halves, out[y])
 
 
 NO_PAIRS, NO_MATRIX = np.zeros(0, np.int64), np.zeros((1, 3), np.float32)
