@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from stereorelight.compare.depth import depth_figures as depth_figures
     from stereorelight.compare.depth import disparity_figures as disparity_figures
     from stereorelight.compare.normals import normal_figures as normal_figures
+    from stereorelight.compare.picture import light_figures as light_figures
+    from stereorelight.compare.picture import picture_figures as picture_figures
+    from stereorelight.compare.stereo import stereo_figures as stereo_figures
     from stereorelight.errors import OutputError as OutputError
     from stereorelight.errors import PassError as PassError
     from stereorelight.errors import PlateError as PlateError
@@ -69,6 +72,8 @@ _HOMES = {
     "shot.run": ("run_shot",),
     "compare.depth": ("depth_figures", "disparity_figures"),
     "compare.normals": ("normal_figures",),
+    "compare.picture": ("light_figures", "picture_figures"),
+    "compare.stereo": ("stereo_figures",),
     "synth.scenes": ("scene_named",),
     "synth.rigs": ("rig_named",),
     "synth.render": ("render",),
