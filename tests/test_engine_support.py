@@ -57,7 +57,7 @@ def test_costs_are_averaged_as_told(low: int) -> None:
             for k, d in enumerate(disparities):
                 u = min(max(x - d, 0), w - 1)
                 pull = 0 if np.isnan(given[y, x]) else min(2.0 * abs(d - given[y, x]), 8.0)
-                cost[y, x, k] = 1.5 * bin(int(words[0][y, x] ^ words[1][y, u])).count("1") + min(abs(a[y, x] - b[y, u]), 10) + pull
+                cost[y, x, k] = 2.0 * bin(int(words[0][y, x] ^ words[1][y, u])).count("1") + min(abs(a[y, x] - b[y, u]), 8) + pull
 
     def averaged(c: np.ndarray, axis: int) -> np.ndarray:
         step = np.abs(np.diff(left.astype(int), axis=axis)).max(axis=2)

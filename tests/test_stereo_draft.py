@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from stereorelight.stereo.draft import full_size, half_proxy, half_range
+from stereorelight.stereo.draft import full_size, half_range
+from stereorelight.stereo.halves import half_proxy
 from stereorelight.stereo.match import DisparityRange
 from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import Refined

@@ -19,8 +19,9 @@ from stereorelight.passes import Flag, Frame
 from stereorelight.stereo import confidence as belief
 from stereorelight.stereo.colour_match import ColourMatch
 from stereorelight.stereo.colour_match import match_colour as colour_matched
-from stereorelight.stereo.draft import full_size, half_proxy, half_range, nearest
+from stereorelight.stereo.draft import full_size, half_range
 from stereorelight.stereo.flow import flow_disparity
+from stereorelight.stereo.halves import half_proxy, nearest
 from stereorelight.stereo.match import DisparityRange, Match, coarse_disparity, match, search_range
 from stereorelight.stereo.matchers import OWN, match_by, matcher_named
 from stereorelight.stereo.proxy import Proxy, matching_proxy

@@ -5,14 +5,11 @@ of the disparities are an eighth of the matching."""
 
 from __future__ import annotations
 
-from typing import Any
-
-import cv2
 import numpy as np
-import numpy.typing as npt
 
-from stereorelight.arrays import Bool, Float32
+from stereorelight.arrays import Float32
 from stereorelight.engine.bending import slopes
+from stereorelight.stereo.halves import nearest
 from stereorelight.stereo.match import DisparityRange
 from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import CUT_PX, Refined, lined
@@ -20,35 +17,9 @@ from stereorelight.stereo.refine import CUT_PX, Refined, lined
 HALF_SIZE_SIGMA_PX = 0.12  # what pictures of half the size are off by whatever their own noise says: aliasing and lost detail
 
 
-def half_proxy(proxy: Proxy) -> Proxy:
-    """The pair at half size, each pixel the mean of four; known where all four are."""
-    height, width = proxy.left_grey.shape
-    size = (width // 2, height // 2)
-
-    def small(a: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return np.ascontiguousarray(cv2.resize(a[: 2 * size[1], : 2 * size[0]], size, interpolation=cv2.INTER_AREA))
-
-    def known(a: Bool) -> Bool:
-        return np.ones(size[::-1], np.bool_) if a.all() else small(a.view(np.uint8) * 255) == 255
-
-    return Proxy(
-        left=small(proxy.left),
-        right=small(proxy.right),
-        left_grey=small(proxy.left_grey),
-        right_grey=small(proxy.right_grey),
-        left_known=known(proxy.left_known),
-        right_known=known(proxy.right_known),
-    )
-
-
 def half_range(search: DisparityRange) -> DisparityRange:
     """The range in pixels of half the size."""
-    return DisparityRange.holding(search.low / 2, search.high / 2)
-
-
-def nearest(a: npt.NDArray[Any], size_hw: tuple[int, int]) -> npt.NDArray[Any]:
-    """A half-size map at full size, by the pixel that it was."""
-    return cv2.resize(a, size_hw[::-1], interpolation=cv2.INTER_NEAREST)
+    return search.halved()
 
 
 def _along_planes(refined: Refined, size_hw: tuple[int, int]) -> Float32:

@@ -17,6 +17,7 @@ from stereorelight.camera import RectifiedRig
 from stereorelight.engine.occlusion import background, consistent
 from stereorelight.engine.support import supported
 from stereorelight.errors import PlateError
+from stereorelight.stereo.halves import half_proxy, nearest
 from stereorelight.stereo.proxy import CALM, Proxy, grey_of
 
 COARSE_WIDTH = 160  # pixels of the picture in which the range is looked for
@@ -31,6 +32,8 @@ SPECKLE_PX = 60  # an island of disparity smaller than this is a wrong match
 SUPPORT_SPECKLE_PX = 40  # the same of adaptive support, in clean plates
 NOWHERE = -32768
 NOISY = 3.2  # grey levels of noise from which matching is made stiffer with it
+HALF_SMALLEST_PX = 64  # of half a picture's side that is worth matching
+HALF_AGREES_PX = 1.5  # whole half-size pixels cannot agree better
 ALIKE = 0.3  # of the noise: neighbours that differ by less are alike to the census
 P1, P2 = 2 * BLOCK**2, 30 * BLOCK**2  # penalties of a step by one and of a jump, per channel: low for steps, since planes smooth later; high for
 # jumps, since adaptive support finds the outlines and wants one answer on a wall that repeats
@@ -51,6 +54,10 @@ class DisparityRange:
     @property
     def high(self) -> int:
         return self.low + self.count
+
+    def halved(self) -> DisparityRange:
+        """The range in pixels of half the size."""
+        return DisparityRange.holding(self.low / 2, self.high / 2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,9 +115,8 @@ def _left_px(matcher: cv2.StereoSGBM, proxy: Proxy, search: DisparityRange) -> F
 def semi_global(proxy: Proxy, search: DisparityRange) -> Match:
     """Both eyes by SGBM alone, three directions: quick, and stiff.  For small copies."""
     matcher = _matcher(proxy, search)
-    raw = _raw(cv2.ximgproc.createRightMatcher(matcher), proxy.right, proxy.left, before=max(0, -search.low), after=max(0, search.high))
     left = _left_px(matcher, proxy, search)
-    return Match(left=left, right=-_as_pixels(raw, 1 - search.high), dense=everywhere(left))  # the right matcher counts x_right - x_left
+    return Match(left=left, right=_right_px(matcher, proxy, search), dense=everywhere(left))
 
 
 def without_speckles(disparity: Float32, smallest_px: int) -> Float32:
@@ -120,11 +126,33 @@ def without_speckles(disparity: Float32, smallest_px: int) -> Float32:
     return np.where(sixteenths == NOWHERE, np.float32(np.nan), disparity)
 
 
-def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False) -> Match:
+def _right_px(matcher: cv2.StereoSGBM, proxy: Proxy, search: DisparityRange) -> Float32:
+    raw = _raw(cv2.ximgproc.createRightMatcher(matcher), proxy.right, proxy.left, before=max(0, -search.low), after=max(0, search.high))
+    return -_as_pixels(raw, 1 - search.high)  # the right matcher counts x_right - x_left
+
+
+def _guide(matcher: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: DisparityRange) -> Float32:
+    """What leads adaptive support: SGBM's left answer; under grain only where its right one confirms it, else that of half the size.
+
+    Half the size has a quarter of the noise, and is blind to what is thin: it only speaks where the full size has nothing sure to say.
+    """
+    left = _left_px(matcher, calm, search)
+    if calm is proxy or min(left.shape) < 2 * HALF_SMALLEST_PX:
+        return left
+    small = match(half_proxy(proxy), search.halved(), guided=False)
+    half = 2 * nearest(small.left, (left.shape[0], left.shape[1]))
+    sure = nearest(consistent(small.left, small.right).view(np.uint8), (left.shape[0], left.shape[1])) > 0
+    with np.errstate(invalid="ignore"):
+        stands = consistent(left, _right_px(matcher, calm, search)) | (np.abs(left - half) <= HALF_AGREES_PX)
+    return np.where(stands, left, np.where(sure, half, np.float32(np.nan)))
+
+
+def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, guided: bool = True) -> Match:
     """Match both eyes by adaptive support, led by what SGBM says of the left one.
 
     The one holds plain ground together, the other keeps each thing's own outline (docs/decisions/0018-adaptive-support.md).
     exhaustive : eight directions of SGBM in place of three; slower, and much more memory: three where that would be more than about 2 GB.
+    guided     : grainy plates are matched at half the size, too, for where the full size finds nothing sure.
     """
     noise = proxy.noise()
     calm = proxy.calmed()
@@ -136,7 +164,7 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False) -> 
         right_grey,
         search.low,
         search.count,
-        given=_left_px(matcher, calm, search),
+        given=_guide(matcher, proxy, calm, search) if guided else _left_px(matcher, calm, search),
         alike=max(1.0, ALIKE * noise),
     )
     left = without_speckles(left, round(SUPPORT_SPECKLE_PX * float(np.clip(noise / CALM, 1, 3))))
