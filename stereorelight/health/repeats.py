@@ -21,6 +21,7 @@ THUMBNAIL = (160, 90)  # w, h
 BLOCK_PX = 16
 SAME_RATIO = 0.25  # a repeat's step over the steps beside it
 GOES_ON = 0.8  # motion over the three steps about a repeat, over one step: less is a swing that turns round
+STILL_SLOPE = 0.1  # motion of a repeat's step over that of the steps beside it: more is a hand that pauses
 LEAST_STEP = 1e-3  # of the tone range, rms over the thumbnail: the least that is called motion
 LONGEST_NEAR_REPEAT = 3  # frames; longer stillness with fresh grain is a pause, not a fault
 DROP_SLOPE = (1.75, 6.0)  # motion of a step over that of the steps beside it: one frame lost doubles it
@@ -131,10 +132,21 @@ def repeated_frames(shot: Signed) -> list[int]:
             clear = beside > max(LEAST_STEP, grain_step)
             still = all(s < SAME_RATIO * beside for s in step[n:end])
             onwards = n >= 2 and _rms(tones[end], tones[n - 2]) >= GOES_ON * (before + after) / 2
-            if clear and still and onwards:
+            if clear and still and onwards and not _moves(tones, n, end):
                 found |= set(range(n, end))
         n = max(end, n + 1)
     return sorted(found)
+
+
+def _moves(tones: list[Float32], first: int, end: int) -> bool:
+    """Whether the steps into positions first..end - 1 move along with the step before or after them: grain and compression do not."""
+    flows = _flows(tones[first - 2 : end + 1], set())
+    for beside in (flows[1], flows[end - first + 2]):
+        power = float(np.mean(np.square(beside)))
+        here = [abs(float(np.mean(flows[k] * beside))) for k in range(2, end - first + 2)]
+        if max(here) > STILL_SLOPE * max(power, LEAST_MOTION**2):
+            return True
+    return False
 
 
 def _flows(tones: list[Float32], skip: set[int]) -> dict[int, Float64]:
