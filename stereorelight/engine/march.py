@@ -109,7 +109,6 @@ def _rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, h
     """The rays in the picture: start and whole extent in pixels and inverse depth, cut where they leave the frame or are nearer than `near`.
 
     pixels : how many the ray passes, along rows and columns together."""
-    longest = f4(0)
     for i in range(n):
         z = sz[i]
         c = lz[i]
@@ -148,8 +147,6 @@ def _rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, h
         good = weight[i] > f4(0)
         a = a if good else f4(0)
         b = b if good else f4(0)
-        length = abs(a) if abs(a) > abs(b) else abs(b)
-        longest = length if length > longest else longest
         u[i] = u0 if good else f4(1.5)
         v[i] = v0 if good else f4(1.5)
         k[i] = k0 + half[i]
@@ -158,8 +155,12 @@ def _rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, h
         dk[i] = e if good else f4(0)
         above[i] = f4(-1)
         pixels[i] = abs(a) + abs(b)
-        lost[i] = f4(1) if share < f4(1) and good else f4(0)
+        lost[i] = f4(1) if (share < f4(1)) & good else f4(0)
         lit[i] = f4(1) if good else f4(0)
+    longest = i4(0)  # a whole number: the largest of floats is no vector code while NaN counts
+    for i in range(n):
+        whole = i4(abs(du[i])) if abs(du[i]) > abs(dv[i]) else i4(abs(dv[i]))
+        longest = whole if whole > longest else longest
     return longest
 
 
@@ -184,7 +185,7 @@ def _step(n, at, columns, thick, grid, u, v, k, du, dv, dk, index, found, above,
         still = f4(0) if hit else lit[i]
         cross = still if behind * above[i] < f4(0) else f4(0)
         above[i] = behind
-        crossed[i] = np.uint8(1) if cross > f4(0) else np.uint8(0)
+        crossed[i] = cross
         lit[i] = still
         left += still
         many += cross
@@ -195,14 +196,14 @@ def _step(n, at, columns, thick, grid, u, v, k, du, dv, dk, index, found, above,
 def _through(n, at, step, columns, grid, reach, u, v, du, dv, pixels, index, found, crossed, words, lit):
     """Stop the rays that changed sides along a surface that hangs together: its depth changed no more than it does about there anyway.
 
-    There are few: one by one, eight looked for at a time in `words`, the bytes of `crossed`.  Returns how many were stopped."""
+    There are few: one by one, two looked for at a time in `words`, the bits of `crossed`.  Returns how many were stopped."""
     last = at - step
     stopped = f4(0)
-    for word in range((n + 7) // 8):
+    for word in range((n + 1) // 2):
         if words[word] == 0:
             continue
-        for i in range(8 * word, min(8 * word + 8, n)):
-            if crossed[i] == 0:
+        for i in range(2 * word, min(2 * word + 2, n)):
+            if not crossed[i] > f4(0):
                 continue
             here = index[i]
             there = i4(v[i] + dv[i] * last) * columns + i4(u[i] + du[i] * last)
@@ -255,8 +256,8 @@ def _rows(first, end, P, N, lift, half, asked, partly, grid, reach, columns, fx,
     far, weight, u, v, k, du, dv, dk, pixels, lost, hidden = T[12], T[13], T[14], T[15], T[16], T[17], T[18], T[19], T[20], T[21], T[22]
     found, going, shone, doubt, total, above = T[23], T[24], T[25], T[26], T[27], T[28]
     index = np.empty(STRIP + 16, np.int32)
-    words = np.zeros(STRIP // 8, np.uint64)
-    crossed = words.view(np.uint8)
+    words = np.zeros(STRIP // 2, np.uint64)
+    crossed = words.view(np.float32)
     samples = offsets.shape[1]
     width = f4(columns - 1) - f4(0.001)
     height = f4(grid.shape[0] // columns - 1) - f4(0.001)
@@ -282,7 +283,7 @@ def _rows(first, end, P, N, lift, half, asked, partly, grid, reach, columns, fx,
                     above, lost, going,
                 )  # fmt: skip
                 hidden[:] = f4(0)
-                count = min(steps, int(longest) + 1)
+                count = min(steps, longest + 1)
                 step = f4(1) / f4(count)
                 for s in range(1, count + 1):
                     at = f4(s) * step

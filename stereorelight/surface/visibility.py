@@ -217,7 +217,7 @@ class ShadowScene:
             lit, unknown = np.moveaxis(self.evened(np.stack([lit, marched.unknown], axis=-1)), -1, 0)
         else:
             unknown = marched.unknown
-        return Shadow(lit=lit, unknown=np.minimum(unknown, lit))
+        return Shadow(lit=lit, unknown=unknown if method == "march" else np.minimum(unknown, lit))
 
     def _marched(self, emitter: Emitter, lift: Float32, asked: Float32 | None, samples: int, steps: int) -> Shadow:
         from stereorelight.engine.march import march
