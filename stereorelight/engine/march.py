@@ -30,13 +30,11 @@ OPEN, UNSEEN = 0.0, -1.0  # in the grid: nothing there however far; nobody knows
 
 
 @kernel()
-def _targets(n, x, y, sample, offsets, q, px, py, pz, nx, ny, nz, lift, sx, sy, sz, lx, ly, lz, far, weight):
+def _targets(n, oa, ob, q, px, py, pz, nx, ny, nz, lift, sx, sy, sz, lx, ly, lz, far, weight):
     """Where the rays start, the unit way to the light's sample, how far it is, and how much it counts for."""
-    c = (y & 3) * 4
     for i in range(n):
-        j = c + ((x + i) & 3)
-        a = offsets[j, sample, 0]
-        b = offsets[j, sample, 1]
+        a = oa[i]
+        b = ob[i]
         ox = px[i] + nx[i] * lift[i]
         oy = py[i] + ny[i] * lift[i]
         oz = pz[i] + nz[i] * lift[i]
@@ -251,7 +249,8 @@ def _split(n, P, N, lift, px, py, pz, nx, ny, nz):
 def _rows(first, end, P, N, lift, half, asked, partly, grid, reach, columns, fx, fy, cx, cy, near, nearest, thick, q, offsets, steps, lit, unknown):
     """Rows first..end; P, N are (H, 3 W); grid is flat with a border of one cell, `columns` wide; cx, cy hold the border and half a pixel."""
     W = N.shape[1] // 3
-    T = np.empty((29, STRIP + 16), np.float32)
+    T = np.empty((31, STRIP + 16), np.float32)
+    oa, ob = T[29], T[30]
     px, py, pz, nx, ny, nz, sx, sy, sz, lx, ly, lz = T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9], T[10], T[11]
     far, weight, u, v, k, du, dv, dk, pixels, lost, hidden = T[12], T[13], T[14], T[15], T[16], T[17], T[18], T[19], T[20], T[21], T[22]
     found, going, shone, doubt, total, above = T[23], T[24], T[25], T[26], T[27], T[28]
@@ -273,7 +272,11 @@ def _rows(first, end, P, N, lift, half, asked, partly, grid, reach, columns, fx,
                 if samples == 1 and q[BALL] == f4(0) and q[RECTANGLE] == f4(0) and offsets[0, 0, 0] == f4(0):
                     _straight(n, q[0], q[1], q[2], q[3], px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
                 else:
-                    _targets(n, x, y, sample, offsets, q, px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
+                    first_kind = (y & 3) * 4  # a strip begins at a multiple of four
+                    for i in range(n):
+                        oa[i] = offsets[first_kind + (i & 3), sample, 0]
+                        ob[i] = offsets[first_kind + (i & 3), sample, 1]
+                    _targets(n, oa, ob, q, px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
                 if partly:
                     wanted = asked[y, x : x + n]
                     for i in range(n):
