@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from stereorelight.footage.plates import read_plate as read_plate
     from stereorelight.interchange.rigs import read_rig as read_rig
     from stereorelight.interchange.rigs import write_rig as write_rig
+    from stereorelight.light.albedo import albedo_of as albedo_of
+    from stereorelight.light.edges import parted as parted
+    from stereorelight.light.estimate import estimate_lighting as estimate_lighting
     from stereorelight.light.lights import DirectionalLight as DirectionalLight
     from stereorelight.light.lights import PointLight as PointLight
     from stereorelight.light.lights import SpotLight as SpotLight
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
     from stereorelight.light.shade import light_layers as light_layers
     from stereorelight.light.shade import relight_fused as relight_fused
     from stereorelight.light.shade import relight_with_layers as relight_with_layers
+    from stereorelight.light.subsurface import scattered as scattered
     from stereorelight.passes import Flag as Flag
     from stereorelight.passes import Frame as Frame
     from stereorelight.shot.run import run_shot as run_shot
@@ -67,6 +71,10 @@ _HOMES = {
     "surface.normals": ("normals_from_depth",),
     "light.lights": ("PointLight", "DirectionalLight", "SpotLight", "lights_from_dicts"),
     "light.shade": ("light_layers", "relight_fused", "relight_with_layers"),
+    "light.subsurface": ("scattered",),
+    "light.estimate": ("estimate_lighting",),
+    "light.albedo": ("albedo_of",),
+    "light.edges": ("parted",),
     "comp": ("relight",),
     "shot.schema": ("read_shot", "read_lights"),
     "shot.run": ("run_shot",),

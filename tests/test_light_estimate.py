@@ -68,6 +68,16 @@ def test_direction_with_recovered_normals(name: str) -> None:
         assert off_deg(light, name) < RECOVERED_DEG
 
 
+def test_clipping_grain_and_highlights_do_not_turn_the_light() -> None:
+    """A fifth of the subject clipped, 3 % grain, and a gloss of 0.4 on everything."""
+    lit = bust_under("right")
+    rng = np.random.default_rng(5)
+    plate = lit.E * random_albedo(lit.subject.shape, 6) + 6 * lit.shine
+    plate = np.minimum(plate, np.percentile(plate[lit.subject], 80)) * (1 + 0.03 * rng.standard_normal(plate.shape).astype(np.float32))
+    light = estimated(exact("right", np.minimum(plate, plate.max() * 0.9)), matte=lit.subject.astype(np.float32), albedo_level=LEVEL)
+    assert off_deg(light, "right") < EXACT_DEG
+
+
 def moved_error(seen: Reference, a: str, b: str, width: int) -> float:
     """Relative RMS over the subject of the plate under `a`, divided and put under `b`, against the render under `b`; no blur, no fitted scale.
 

@@ -44,6 +44,10 @@ def test_estimated_albedo_is_what_the_lights_fall_on(tmp_path: Path) -> None:
     facing = lit(tmp_path, LAMP + own + "match_exposure = true\n")
     for key in ("light_new_diffuse", "light_new_specular"):
         np.testing.assert_allclose(facing.layers[key], apart.layers[key] * apart.colour.light.level, rtol=1e-5)
+    sky = np.full((8, 16), 0.7, np.float32)
+    write_exr(tmp_path / "sky.exr", dict.fromkeys("RGB", sky))
+    under = lit(tmp_path, own + '[environment]\nfile = "sky.exr"\n')
+    np.testing.assert_allclose(under.beauty, 0.7 * apart.colour.albedo, rtol=1e-3, atol=1e-5)
     np.testing.assert_allclose(facing.beauty, sum(facing.layers.values()), rtol=1e-5, atol=1e-6)
 
 

@@ -19,10 +19,10 @@ from stereorelight.errors import PassError, ShotError, nearest_hint
 from stereorelight.passes import Flag
 
 SURE = 0.98  # cover from which a pixel shows one side alone
-EDGE_PX, EXACT_PX = 6.0, 1.0  # windows of matching and of normals reach so far; a renderer's passes have none
+EDGE_PX, EXACT_PX = 8.0, 1.0  # windows of matching and of normals reach so far; a renderer's passes have none
 NEAR_PX = 3.0  # colours of a side are those of its surroundings, so wide
 ALIKE = 0.02  # of the plate's square: colours nearer than that say nothing of cover
-REACH_PX = 14.0  # how far matching fattens
+REACH_PX = 20.0  # how far matching fattens
 EVEN_FORE_PX, EVEN_BACK_PX = 1.5, 4.0  # how widely normals are evened where they stand in for others
 UNSURE_DEG = 25.0  # standard deviation of a normal that is not taken for its surroundings
 GUESSED = int(Flag.FILLED | Flag.OCCLUDED | Flag.UNMATCHED)
@@ -133,7 +133,7 @@ def parted(
 
     alpha   : (H, W), 0..1, the subject's cover; NaN counts as 0.
     passes  : P, N and what else lies on the plate, (H, W) or (H, W, C); each side gets them whole.
-    edge_px : so near to the other side, geometry is not believed; None: 6 px where N was recovered (N_sigma is there), else 1.
+    edge_px : so near to the other side, geometry is not believed; None: 8 px where N was recovered (N_sigma is there), else 1.
     unsure  : (H, W), not believed just there.
     Raises  : PassError for arrays that do not fit or an alpha out of range, ShotError for edge_px.
     """

@@ -32,6 +32,7 @@ FOLDS = 4
 BLOCKS = 14  # across the frame
 SURE = 3.0  # standard errors: less is chance
 LEAST = 0.01  # share of the variance explained: less is of no use to anybody
+ABOUT_DEG = 16.0  # how far about a lamp's direction parts of the plate are asked for another
 UNSURE_DEG = 35.0  # spread of the direction over parts of the plate: more is no direction
 ALBEDO_LEVEL = 0.36
 DARKEST = 1e-6  # grey of a plate that is black all over
@@ -50,8 +51,8 @@ def _blocks(a: npt.NDArray[Any], by: int) -> Float64:
     return total / (by * by)
 
 
-def pixels_of(plate: Float32, N: Float32, P: Float32 | None, weight: Float32) -> tuple[Pixels | None, int]:
-    """The believed pixels of a small picture, None where there are too few; and how many pixels a side one of them is."""
+def pixels_of(plate: Float32, N: Float32, P: Float32 | None, weight: Float32) -> tuple[list[Pixels], int]:
+    """The believed pixels of a small picture, by fine and by coarse materials, none where there are too few; and how many pixels a side one is."""
     by = max(1, round(plate.shape[1] / WORK_WIDTH))
     good = weight * np.isfinite(N).all(axis=-1) * np.isfinite(plate).all(axis=-1)
     if P is not None:
@@ -59,7 +60,7 @@ def pixels_of(plate: Float32, N: Float32, P: Float32 | None, weight: Float32) ->
     grey = np.nan_to_num(plate, nan=0.0, posinf=0.0, neginf=0.0).mean(axis=-1)
     bright = grey[good > 0]
     if bright.size < 100:
-        return None, by
+        return [], by
     high = float(np.percentile(bright, 98))
     top = np.nan_to_num(plate, nan=0.0, posinf=0.0).max(axis=(0, 1))
     flat = [float((plate[..., c] >= 0.995 * top[c]).mean()) > 5e-4 for c in range(3)]  # many pixels at the very top: clipped
@@ -79,17 +80,20 @@ def pixels_of(plate: Float32, N: Float32, P: Float32 | None, weight: Float32) ->
     w = kept.shape[1]
     at = np.flatnonzero(kept)
     if len(at) < 200:
-        return None, by
+        return [], by
     rgb = np.maximum(colours.reshape(-1, 3)[at], 1e-9)
     logs = np.log(np.column_stack([rgb, rgb.mean(axis=1)]))
     weights = share.reshape(-1)[at] / float(share.max())
-    label = materials_of(logs[:, [0, 2]] - logs[:, [1]], weights, surface.reshape(-1)[at].astype(np.int64))
+    fine, coarse = materials_of(logs[:, [0, 2]] - logs[:, [1]], weights, surface.reshape(-1)[at].astype(np.int64), at, (kept.shape[0], kept.shape[1]))
     side = max(w // BLOCKS, 4)
     block = (at // w) // side * (w // side + 1) + (at % w) // side
     normals = n.reshape(-1, 3)[at] / length.reshape(-1)[at, None]
-    found = Pixels(logs=logs, N=normals, P=None if p is None else p.reshape(-1, 3)[at], weight=weights, label=label, block=block, at=at)
-    found = found.part(label >= 0)
-    return (found if len(found.at) >= 200 else None), by
+    places = None if p is None else p.reshape(-1, 3)[at]
+    whole = Pixels(logs=logs, N=normals, P=places, weight=weights, label=fine, block=block, at=at)
+    found = [whole.part(fine >= 0)]
+    if fine.max(initial=-1) != coarse.max(initial=-1):
+        found.append(replace(whole, label=coarse).part(coarse >= 0))
+    return [pixels for pixels in found if len(pixels.at) >= 200], by
 
 
 def _directions() -> Float64:
@@ -193,25 +197,39 @@ def estimate_lighting(
         raise ShotError(f"albedo_level must be a number, 0.01 ... 1, got {albedo_level!r}")
     if (believed < 0).any():
         raise ShotError("weight must be at least 0")
-    pixels, by = pixels_of(picture, normals, places, believed)
-    if pixels is None:
+    asked, by = pixels_of(picture, normals, places, believed)
+    if not asked:
         grey = picture.mean(axis=-1)[np.isfinite(picture).all(axis=-1) & (believed > 0)]
         return _even(float(np.median(grey)) if grey.size else albedo_level, albedo_level)
-    lamps = _Lamps(pixels, by, size_hw, visible)
+    shadows: dict[tuple[Vector, Vector | None], Float64] = {}
+
+    def arrives(towards: Vector, place: Vector | None) -> Float64:
+        if (towards, place) not in shadows and visible is not None:
+            shadows[towards, place] = np.asarray(visible(towards, place), np.float64)
+        return shadows[towards, place]
+
+    told = [_told(pixels, _Lamps(pixels, by, size_hw, None if visible is None else arrives), model) for pixels in asked]
+    # Brightness from patch to patch may look like light by chance; what patches show within themselves may not.
+    sure = [one for one in told if one.verdict.sure] if told[0].verdict.shades else []
+    if not sure:
+        verdict = told[0].verdict
+        even = _even(float(np.exp(np.median(asked[0].logs[:, 3]))), albedo_level)
+        return replace(even, explained=max(verdict.explained, 0.0), residual=verdict.residual, sigma_deg=verdict.sigma_deg)
+    return _settled(min(sure, key=lambda one: (one.S is None, one.verdict.sigma_deg)), albedo_level)  # a lamp says more than soft light does
+
+
+def _told(pixels: Pixels, lamps: _Lamps, model: Model) -> _Told:
+    """The model that explains the pixels best on ground that it was not fitted to, and how well."""
     null = fit(pixels, None, terms=1)
-    soft = fit(pixels, None)
-    choices: list[tuple[Fit, Float64 | None, Float64, float]] = [(soft, None, np.zeros(3), 0.0)]
+    choices: list[tuple[Fit, Float64 | None, Float64, float]] = [(fit(pixels, None), None, np.zeros(3), 0.0)]
     if model != "harmonics":
         towards, nearness = _lamp_search(pixels, lamps)
         S = lamps.term(towards, nearness)
         choices.append((fit(pixels, S), S, towards, nearness))
-    judged = [_judged(pixels, null, *choice[:3]) for choice in choices]
+    judged = [_judged(pixels, null, found, S, towards, lamps, nearness) for found, S, towards, nearness in choices]
     pick = 1 if model == "lamp" or (len(choices) > 1 and judged[1].gain > judged[0].gain) else 0
-    found, verdict = choices[pick], judged[pick]
-    grey_level = float(np.exp(np.median(pixels.logs[:, 3])))
-    if verdict.gain < SURE * verdict.error or verdict.explained < LEAST or verdict.sigma_deg > UNSURE_DEG:
-        return replace(_even(grey_level, albedo_level), explained=max(verdict.explained, 0.0), residual=null.spread, sigma_deg=verdict.sigma_deg)
-    return _settled(pixels, lamps, found, verdict, albedo_level)
+    found, term, way, near = choices[pick]
+    return _Told(pixels=pixels, lamps=lamps, found=found, S=term, towards=way, nearness=near, verdict=judged[pick])
 
 
 def _even(grey: float, albedo_level: float) -> PlateLighting:
@@ -230,6 +248,29 @@ class _Verdict:
     residual: float
     sigma_deg: float
 
+    @property
+    def shades(self) -> bool:
+        """Whether there is shading, and no chance."""
+        return self.gain >= SURE * self.error and self.explained >= LEAST
+
+    @property
+    def sure(self) -> bool:
+        """Whether the shading says where light comes from."""
+        return self.shades and self.sigma_deg <= UNSURE_DEG
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Told:
+    """Light that was found: of which pixels, the fit, the lamp's S, direction and nearness, and how good it is."""
+
+    pixels: Pixels
+    lamps: _Lamps
+    found: Fit
+    S: Float64 | None
+    towards: Float64
+    nearness: float
+    verdict: _Verdict
+
 
 def _main(found: Fit, towards: Float64, lamp: bool) -> Float64:
     """(3,) unit vector to the main light; of soft light the way in which irradiance grows most."""
@@ -238,11 +279,14 @@ def _main(found: Fit, towards: Float64, lamp: bool) -> Float64:
     return unit
 
 
-def _judged(pixels: Pixels, null: Fit, whole: Fit, S: Float64 | None, towards: Float64) -> _Verdict:
+def _judged(pixels: Pixels, null: Fit, whole: Fit, S: Float64 | None, towards: Float64, lamps: _Lamps, nearness: float) -> _Verdict:
     """The fit on ground that it was not made from, fold by fold."""
     rest_null, rest_told = np.zeros(len(pixels.at)), np.zeros(len(pixels.at))
     ways: list[Float64] = []
     fold = pixels.block % FOLDS
+    about = np.zeros((0, 3)) if S is None else np.concatenate([towards[None], _turned(towards, ABOUT_DEG / 2), _turned(towards, ABOUT_DEG)])
+    terms = [lamps.term(way, nearness) for way in about]
+    some = np.arange(len(pixels.at)) % max(1, round(len(pixels.at) / SEARCHED)) == 0
     for k in range(FOLDS):
         kept, out = fold != k, fold == k
         known = np.isin(pixels.label, np.unique(pixels.label[kept]))
@@ -254,7 +298,13 @@ def _judged(pixels: Pixels, null: Fit, whole: Fit, S: Float64 | None, towards: F
         told = fit(part, None if S is None else S[kept], start=whole, rounds=5)
         rest_null[out] = left_over(held, None, plain)
         rest_told[out] = left_over(held, None if S is None else S[out], told)
-        ways.append(told.c[[3, 1, 2]] + (0.5 * told.s * towards if S is not None else 0))
+        if S is None:
+            ways.append(told.c[[3, 1, 2]])
+            continue
+        few = kept & some
+        _, label = np.unique(pixels.label[few], return_inverse=True)
+        asked = replace(pixels.part(few), label=label.reshape(-1).astype(np.int64))
+        ways.append(about[int(np.argmin([fit(asked, term[few], terms=4, rounds=3).cost for term in terms]))])
     gain, error = gain_by_blocks(pixels, rest_null, rest_told)
     before, after = (1.4826 * float(np.median(np.abs(r))) + 1e-6 for r in (rest_null, rest_told))
     units = np.array([way / max(float(np.linalg.norm(way)), 1e-9) for way in ways]).reshape(-1, 3)
@@ -263,22 +313,22 @@ def _judged(pixels: Pixels, null: Fit, whole: Fit, S: Float64 | None, towards: F
     off = np.degrees(np.arccos(np.clip(units @ mean, -1, 1)))
     # Each fold leaves out a quarter: the whole is surer than the folds are alike, by the jackknife's factor.
     sigma = float(np.sqrt((off**2).sum() * (FOLDS - 1) / FOLDS)) if len(units) > 1 else 180.0
+    if S is not None:  # looked at in steps
+        sigma = math.hypot(sigma, ABOUT_DEG / 4)
     return _Verdict(gain=gain, error=error, explained=1 - (after / before) ** 2, residual=after, sigma_deg=min(sigma, 180.0))
 
 
-def _settled(
-    pixels: Pixels, lamps: _Lamps, found: tuple[Fit, Float64 | None, Float64, float], verdict: _Verdict, albedo_level: float
-) -> PlateLighting:
+def _settled(one: _Told, albedo_level: float) -> PlateLighting:
     """Each channel's own coefficients; the main light made white, and the median albedo what was agreed upon."""
-    whole, S, towards, nearness = found
+    pixels, lamps, whole, S, towards, nearness, verdict = one.pixels, one.lamps, one.found, one.S, one.towards, one.nearness, one.verdict
     lamp = S is not None and whole.s > 0
     main = _main(whole, towards, lamp)
     around, strength = np.zeros((TERMS, 3)), np.zeros(3)
     unit = basis(np.array([[0.0, 0.0, 1.0]]))[0, 0]
     for channel in range(3):
-        one = fit(pixels, S, start=whole, channel=channel, rounds=6)
-        facing = float(basis(main[None])[0] @ one.c) / unit + (one.s if lamp else 0.0)
-        around[:, channel], strength[channel] = one.c / unit / facing, one.s / facing if lamp else 0.0
+        own = fit(pixels, S, start=whole, channel=channel, rounds=6)
+        facing = float(basis(main[None])[0] @ own.c) / unit + (own.s if lamp else 0.0)
+        around[:, channel], strength[channel] = own.c / unit / facing, own.s / facing if lamp else 0.0
     light = PlateLighting(
         around=around,
         lamp=strength,

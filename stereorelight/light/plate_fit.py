@@ -22,7 +22,7 @@ LOOSE = np.array([0.0, 1.0, 1.0, 1.0, 0.35, 0.35, 0.35, 0.35, 0.35])  # how far 
 APART = 0.25  # of log chromaticity: closer colours are one material
 MOST_MATERIALS = 8
 FINEST = 0.02  # of log brightness: no model of a real plate is nearer
-FEWEST = 40  # pixels of a material: less says nothing
+FEWEST, PATCH = 40, 16  # pixels of a material, and of one patch of it: less says nothing
 
 Whole = npt.NDArray[np.int64]
 
@@ -72,8 +72,12 @@ def surprise(r: Float64, scale: float) -> Float64:
     return found
 
 
-def materials_of(chroma: Float64, weight: Float64, surface: Whole) -> Whole:
-    """(n,) labels by chromaticity (n, 2) on each surface (n,); -1 where too few pixels are alike."""
+def materials_of(chroma: Float64, weight: Float64, surface: Whole, at: Whole, shape: tuple[int, int]) -> tuple[Whole, Whole]:
+    """(n,) labels by chromaticity (n, 2) on each surface (n,), finely and coarsely; -1 where too few pixels are alike.
+
+    Finely, a patch of one colour, at `at` (n,) in a picture of `shape`, is a material of its own where it is large enough to tell
+    shading by itself: two patches of a colour may still be of two brightnesses.  Coarsely they are one: where normals are noisy, what
+    little a patch tells by itself is noise, and brightness from patch to patch tells more."""
     step = APART / 5
     low = np.percentile(chroma, 0.5, axis=0) - step
     cells = np.clip(np.floor((chroma - low) / step).astype(np.int64), 0, 199)
@@ -87,11 +91,26 @@ def materials_of(chroma: Float64, weight: Float64, surface: Whole) -> Whole:
         centres.append(low + (np.array([i, j]) + 0.5) * step)
         counts[np.hypot(y - i, x - j) * step < APART] = 0
     kind = ((chroma[:, None] - np.array(centres)) ** 2).sum(-1).argmin(-1)
-    _, label, count = np.unique(surface * MOST_MATERIALS + kind, return_inverse=True, return_counts=True)
-    kept = count >= FEWEST
-    renamed = np.where(kept, np.cumsum(kept) - 1, -1)
-    found: Whole = renamed[label.reshape(-1)]
-    return found
+    alike = surface * MOST_MATERIALS + kind
+    picture = np.full(shape, -1, np.int64)
+    picture.reshape(-1)[at] = alike
+    patch = np.zeros(shape, np.int64)
+    for value in np.unique(alike):
+        found, _ = ndimage.label(picture == value)
+        patch += np.where(found > 0, found + patch.max(), 0)
+    own = patch.reshape(-1)[at]
+    sizes = np.bincount(own)
+    both = np.where(sizes[own] >= PATCH, own + int(alike.max()) + 1, alike)
+    return _numbered(both, sizes[own] >= PATCH), _numbered(alike, np.zeros(len(alike), np.bool_))
+
+
+def _numbered(names: Whole, patch: Bool) -> Whole:
+    """(n,) labels from 0 for `names` (n,), -1 where there are too few of one; a `patch` (n,) may be smaller."""
+    _, label, count = np.unique(names, return_inverse=True, return_counts=True)
+    label = label.reshape(-1)
+    kept = count >= np.where(np.bincount(label, weights=patch) > 0, PATCH, FEWEST)
+    renamed: Whole = np.where(kept, np.cumsum(kept) - 1, -1)
+    return renamed[label]
 
 
 def _means(values: Float64, weight: Float64, label: Whole, count: int) -> Float64:

@@ -165,8 +165,7 @@ class Lighting:
         whole: Mapping[str, Float32] | None = None,
     ) -> dict[str, Float32]:
         """The mattes of a frame by name; `whole` takes the place of some that are given or of files.  Raises ShotError, PlateError, PassError."""
-        size_hw = passes["P"].shape[:2]
-        stead = whole or {}
+        size_hw, stead = passes["P"].shape[:2], whole or {}
         given = {name: stead.get(name, array) for name, array in (given or {}).items()}
 
         def read(matte: FileMatte) -> Float32:
@@ -301,8 +300,7 @@ class Lighting:
         knobs = self.setup.relight
         P, N = passes["P"], passes["N"]
         colour = self.plate_lights.colour_of(Reference(number=number, plate=plate, passes=passes, camera=camera, mattes=mattes))
-        albedo = colour.albedo
-        materials = self.setup.materials_at(number)
+        albedo, materials = colour.albedo, self.setup.materials_at(number)
         paints = self.setup.painted_at(number)
         casting = Casting(shadows=self.setup.shadows, passes=passes, camera=camera, mattes=mattes)
         own, shining = ({light.name for light in found(number)} for found in (self.setup.own_at, self.setup.shining_at))
