@@ -150,7 +150,7 @@ def test_cloth_that_matching_sees_badly_is_seen_well(cloth: Cloth) -> None:
     given, _ = normals_and_sigma(coarse, CAMERA)
     inner = np.s_[8:-8, 8:-8]
     before, after = np.median(angle_deg(given, N)[inner]), np.median(angle_deg(found.N, N)[inner])
-    assert found.helped.any()
+    assert found.trust.any()
     assert after < 0.5 * before
     assert after < 6.5
     assert np.median(np.abs(found.Z - Z)[inner]) < 0.8 * np.median(np.abs(coarse - Z)[inner])
@@ -185,7 +185,7 @@ def test_where_disparity_is_good_and_cloth_is_printed_nothing_is_touched() -> No
     rng = np.random.default_rng(8)
     albedo = 0.4 * np.exp(0.25 * rng.normal(size=(45, 60))).repeat(4, 0).repeat(4, 1)
     found = refine_by_shading(lit(N, albedo[..., None] * np.ones(3)), exact, CAMERA, Z_sigma=(sigma_m(exact) * 0.02).astype(np.float32))
-    assert not found.helped.any()
+    assert not found.trust.any()
     np.testing.assert_array_equal(found.Z, exact)
     assert found.weight.max() == 0
 

@@ -34,8 +34,8 @@ from stereorelight.surface.shading_levels import Level, around, cells_of, levels
 Quality = Literal["standard", "fine"]
 f4 = np.float32
 
-CORRELATED_PX2 = 100.0  # pixels that share one error of it
-TURNED_PX2 = 20.0  # pixels that share one error of a normal
+# Texture, too, is wrong in the same way over several pixels, and a normal's error over as many: each of them has one vote a pixel, and ...
+CORRELATED_PX2 = 5.0  # ... disparity, which is wrong over wider ground, one for so many
 BEND = 80.0  # change of slope over the width of the frame that is nothing special
 WIDEST_BEND = 0.3  # the same over one pixel of any level
 SLOW_SHARE = 1 / 48  # of the width: what varies over more is not shading's to tell
@@ -45,13 +45,14 @@ LEAST_SIGMA = 1e-5  # of Z, relative
 SIGMA_COEFFICIENTS = (2.197, 0.361, 0.404, 0.147)  # of N_sigma: see `_doubt` and docs/shading.md
 CLIPPED, BLACK = 0.98, 2e-3
 PAINT = 0.03  # change of log chromaticity that is beyond any mix of lights
-LEAST_EXPLAINED = 0.02
+LEAST_EXPLAINED = (0.0, 0.1)  # by the light of one size: below it shading is left out there, above it it has its full weight
 JUDGED_WIDTH = 480  # of the level at which materials are tested against disparity
 LEAST_SHARE = (0.38, 0.5)  # of the variance of brightness, explained by normals that shading had no part in: where disparity ...
 MUCH_GAIN = (8.0, 2.5)  # ... knows so much less than shading would
-LEAST_TURN_DEG = 5.5  # spread of normals over TURN_SHARE of the width
+HALF_SURE = 0.05  # of that share, to either side of the least: in between a material is shaded in part, so that frames do not jump
+LEAST_TURN_DEG = (3.5, 6.0)  # spread of normals over TURN_SHARE of the width: flat, and surely not flat
 TURN_SHARE = 0.02
-LEAST_GAIN = 0.7  # error of the given normals over that of shading's
+LEAST_GAIN = (0.3, 0.6)  # error of the given normals over that of shading's: of no use, and of use
 MOST_SENSITIVE = 0.9  # change of log brightness per radian: more than light on matter does
 
 
@@ -78,7 +79,7 @@ class ShadedSurface:
     N_sigma : (H, W) degrees: about two thirds of such normals are within it.
     weight  : (H, W) 0..1, how much of a normal is shading's.
     light   : what the plate was lit by, and how it explains each material.
-    helped  : (M,) the materials that passed the test; shares: how much of their brightness normals from disparity explain.
+    trust   : (M,) 0..1, how well each material passed the test; shares: how much of its brightness normals from disparity explain.
     figures : the same in numbers for a receipt.
     """
 
@@ -87,7 +88,7 @@ class ShadedSurface:
     N_sigma: Float32
     weight: Float32
     light: PlateLight
-    helped: Bool
+    trust: Float64
     shares: Float64
     figures: dict[str, Any] = field(default_factory=dict)
 
@@ -148,9 +149,9 @@ def _lit(level: Level, cells: Labels, L: Float32, v: Float32, only: Bool | None 
 
 
 def _solved(
-    level: Level, v: Float32, *, rounds: int, steps: int, light: PlateLight | None, helped: Bool | None, strength: float, lit: bool
+    level: Level, v: Float32, *, rounds: int, steps: int, light: PlateLight | None, trust: Float64 | None, strength: float, lit: bool
 ) -> _State:
-    """Gauss-Newton on one level from `v`.  light None is found from v itself; `lit` off leaves shading out."""
+    """Gauss-Newton on one level from `v`.  light None is found from v itself; trust None is not known yet; `lit` off leaves shading out."""
     shape = v.shape
     slow_px = max(SLOW_SHARE * shape[1], 2.0)
     correlated = min(1.0, level.scale**2 / CORRELATED_PX2)
@@ -159,11 +160,12 @@ def _solved(
     cells = level.cells
     L = cells_of(level.grey)
     if lit and light is None:
-        light = _lit(level, cells, L, v, helped)
+        light = _lit(level, cells, L, v, None if trust is None else trust > 0)
     if light is None:
         light = _unlit(level)
-    on = light.explained > LEAST_EXPLAINED if helped is None else helped & (light.explained > LEAST_EXPLAINED)
-    cells = np.where((cells >= 0) & np.append(on, False)[cells], cells, -1).astype(np.int16) if lit else np.full(shape, -1, np.int16)
+    sure = _rising(light.explained, *LEAST_EXPLAINED) * (1 if trust is None else trust)
+    believed_in = np.append(sure, 0.0).astype(np.float32)[cells]
+    cells = np.where((cells >= 0) & (believed_in > 0), cells, -1).astype(np.int16) if lit else np.full(shape, -1, np.int16)
     inside = (cells >= 0).astype(np.float32)
     shines = bool(inside.any())
     zero = np.zeros(shape, np.float32)
@@ -171,7 +173,7 @@ def _solved(
     table = light.coefficients.astype(np.float32) if light.coefficients.size else np.zeros((1, 9), np.float32)
     floor = light.floor.astype(np.float32) if light.floor.size else np.ones(1, np.float32)
     weight, left, gu, gv, one = inside, zero, zero, zero, np.ones(shape, np.float32)
-    slopes = min(1.0, level.scale**2 / TURNED_PX2) * (free * level.focal) ** 2
+    slopes = (free * level.focal) ** 2
     believed = level.okc * f4(slopes) / np.maximum(level.turned, f4(1e-9))
     for _ in range(rounds):
         ws = zero
@@ -180,7 +182,7 @@ def _solved(
             e = (L - logS) * inside
             left = (e - around(e, weight, slow_px)) * inside
             weight = inside * same / (1 + left * left / (f4(TRUST**2) * variance)) ** 2
-            ws = weight * (f4(strength * strength * free * free) / variance)
+            ws = weight * believed_in * (f4(strength * strength * free * free) / variance)
         wx, wy, wc = engine.bend_weights(v, level.okx, level.oky, level.okc, free=2 * free)
         off = v - level.v
         data: Float32 = (precision * f4(free * free) / (1 + off * off / (9 * level.variance))).astype(np.float32)
@@ -203,7 +205,7 @@ def _along(v: Float32, gu: Float32, gv: Float32) -> Float32:
 
 def _chain(levels: list[Level], last: int, effort: Effort, *, strength: float, lit: bool) -> _State:
     """From the coarsest level down to `last`, each material lit wherever its light explains anything."""
-    plain: dict[str, Any] = {"steps": effort.steps, "light": None, "helped": None, "strength": strength}
+    plain: dict[str, Any] = {"steps": effort.steps, "light": None, "trust": None, "strength": strength}
     v = _solved(levels[-1], levels[-1].v, rounds=effort.rounds, lit=False, **plain).v
     state = _solved(levels[-1], v, rounds=effort.rounds, lit=lit, **plain)
     for k in range(len(levels) - 2, last - 1, -1):
@@ -211,8 +213,15 @@ def _chain(levels: list[Level], last: int, effort: Effort, *, strength: float, l
     return state
 
 
-def _judged(level: Level, lit: _State, plain: _State) -> tuple[Bool, Float64, Float64, Float64]:
-    """Which materials shading helps, the share it explains of each by normals it had no part in, its gain over disparity, and how normals turn.
+def _rising(a: Float64, low: npt.ArrayLike, high: npt.ArrayLike) -> Float64:
+    """0 up to `low`, 1 from `high`, smooth between."""
+    t = np.clip((a - np.asarray(low)) / (np.asarray(high) - np.asarray(low)), 0, 1)
+    smooth: Float64 = t * t * (3 - 2 * t)
+    return smooth
+
+
+def _judged(level: Level, lit: _State, plain: _State) -> tuple[Float64, Float64, Float64, Float64]:
+    """How far each material's shading is trusted (0..1), the share it explains by normals it had no part in, its gain over disparity, how normals turn.
 
     Three questions: do normals from disparity alone explain the brightness (else it is paint); do they turn at all (else the material
     is flat, and all its brightness is paint); does shading, as far as its light fits, know normals better than disparity does?
@@ -236,7 +245,8 @@ def _judged(level: Level, lit: _State, plain: _State) -> tuple[Bool, Float64, Fl
         gain[k] = math.sqrt(float(np.median(level.turned[here]))) * sense / max(float(lit.light.residual[k]), GRAIN)
     least = np.minimum(explained, lit.light.explained)
     needed = np.interp(gain, MUCH_GAIN[::-1], LEAST_SHARE[::-1])
-    return (least >= needed) & (turns >= LEAST_TURN_DEG) & (gain >= LEAST_GAIN), explained, gain, turns
+    trust = _rising(least, needed - HALF_SURE, needed + HALF_SURE) * _rising(turns, *LEAST_TURN_DEG) * _rising(gain, *LEAST_GAIN)
+    return trust, explained, gain, turns
 
 
 def _doubt(level: Level, state: _State, N: Float32, given: Float32, share: Float32) -> Float32:
@@ -259,10 +269,10 @@ def _doubt(level: Level, state: _State, N: Float32, given: Float32, share: Float
     return np.clip(sigma, 0.5, 90)
 
 
-def _at_pixels(level: Level, state: _State, helped: Bool) -> tuple[Float32, Float32]:
+def _at_pixels(level: Level, state: _State, trust: Float64) -> tuple[Float32, Float32]:
     """N (H, W, 3) of pixels from the cells around them that are of one surface, and 0..1 how much of it is shading's."""
     cells = level.cells
-    inside = ((cells >= 0) & np.append(helped, False)[cells]).astype(np.float32)
+    inside = np.where(cells >= 0, np.append(trust, 0.0)[cells], 0).astype(np.float32)
     total, sums, share = (np.zeros(s, np.float32) for s in (level.v.shape, (*level.v.shape, 3), level.v.shape))
     h, w = level.v.shape
     N = np.moveaxis(state.N, 0, -1)
@@ -334,19 +344,19 @@ def refine_by_shading(
     return _refined(p, depth, given, given_sigma, v, sigma, usable, known, camera, strength, EFFORTS[quality])
 
 
-def _figures(light: PlateLight, helped: Bool, shares: Float64, gain: Float64, turns: Float64) -> dict[str, Any]:
+def _figures(light: PlateLight, trust: Float64, shares: Float64, gain: Float64, turns: Float64) -> dict[str, Any]:
     size = light.labels.size
     return {
-        "shaded_share": float(np.isin(light.labels, np.flatnonzero(helped)).sum() / max(size, 1)),
+        "shaded_share": float(np.isin(light.labels, np.flatnonzero(trust > 0)).sum() / max(size, 1)),
         "materials": [
             {
                 "share": round(float((light.labels == k).sum() / size), 4),
                 "explained": round(float(shares[k]), 3),
                 "gain": round(float(gain[k]), 2),
                 "turns_deg": round(float(turns[k]), 1),
-                "helped": bool(helped[k]),
+                "trust": round(float(trust[k]), 2),
             }
-            for k in range(len(helped))
+            for k in range(len(trust))
         ],
     }
 
@@ -368,24 +378,25 @@ def _refined(
     judge = next((k for k, level in enumerate(levels) if level.v.shape[1] <= JUDGED_WIDTH), len(levels) - 1)
     lit = _chain(levels, judge, effort, strength=strength, lit=True)
     plain = _chain(levels, judge, effort, strength=strength, lit=False)
-    helped, shares, gain, turns = _judged(levels[judge], lit, plain)
+    trust, shares, gain, turns = _judged(levels[judge], lit, plain)
     labels = levels[0].labels
     light = replace(lit.light, labels=labels)
     nothing = ShadedSurface(
-        Z=depth, N=given, N_sigma=given_sigma, weight=np.zeros(depth.shape, np.float32), light=light, helped=helped, shares=shares,
-        figures=_figures(light, helped, shares, gain, turns),
+        Z=depth, N=given, N_sigma=given_sigma, weight=np.zeros(depth.shape, np.float32), light=light, trust=trust, shares=shares,
+        figures=_figures(light, trust, shares, gain, turns),
     )  # fmt: skip
-    if strength == 0 or not helped.any():
+    if strength == 0 or not trust.any():
         return nothing
-    state = replace(lit, v=np.where(np.append(helped, False)[levels[judge].labels], lit.v, plain.v).astype(np.float32))
+    mixed_in = np.append(trust, 0.0).astype(np.float32)[levels[judge].labels]
+    state = replace(lit, v=plain.v + mixed_in * (lit.v - plain.v))
     for k in range(judge - 1, -1, -1):
         start = _started(levels[k], levels[k + 1], state.v)
         finest = k == 0
         state = _solved(
             levels[k], start, rounds=effort.finest_rounds if finest else effort.rounds, steps=effort.finest_steps if finest else effort.steps,
-            light=replace(state.light, labels=labels) if finest and k + 1 < len(levels) else None, helped=helped, strength=strength, lit=True,
+            light=replace(state.light, labels=labels) if finest and k + 1 < len(levels) else None, trust=trust, strength=strength, lit=True,
         )  # fmt: skip
-    N, share = _at_pixels(levels[0], state, helped)
+    N, share = _at_pixels(levels[0], state, trust)
     share = np.where(known, share, f4(0))
     mixed = given + share[..., None] * (np.where(share[..., None] > 0, N, 0) - given)
     mixed = np.where(np.isfinite(given[..., :1]), mixed, np.where(share[..., None] > 0, N, np.nan))
