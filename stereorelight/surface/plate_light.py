@@ -23,6 +23,7 @@ WORK_WIDTH = 160  # the light is smooth over normals: a small picture holds all 
 MOST_MATERIALS = 8
 APART = 0.25  # of log chromaticity: closer colours are one material
 SMALLEST_SHARE = 0.002  # of the frame: less ground than that says nothing about light
+QUIET_PX = 5  # over which colours are averaged
 FEWEST = 120  # pixels of the small picture, likewise
 FLOOR = 0.08  # of a material's median radiance: shading is not believed below
 RIDGE = 2e-3
@@ -108,7 +109,8 @@ def materials(plate: Float32, joined: Bool) -> Labels:
     h, w = joined.shape
     by = max(1, w // (2 * WORK_WIDTH))
     small = shrunk(plate, by)
-    chroma = log_chroma(small)
+    # A colour is that of some ground: one pixel of a small or dark picture is noise.
+    chroma = log_chroma(ndimage.uniform_filter(small, (*2 * (max(1, QUIET_PX // by),), 1), mode="nearest"))
     whole = shrunk(joined, by) > 0.75
     labels = np.full((h, w), -1, np.int16)
     if whole.sum() < FEWEST:

@@ -50,8 +50,7 @@ JUDGED_WIDTH = 480  # of the level at which materials are tested against dispari
 LEAST_SHARE = (0.38, 0.5)  # of the variance of brightness, explained by normals that shading had no part in: where disparity ...
 MUCH_GAIN = (8.0, 2.5)  # ... knows so much less than shading would
 HALF_SURE = 0.05  # of that share, to either side of the least: in between a material is shaded in part, so that frames do not jump
-LEAST_TURN_DEG = (3.5, 6.0)  # spread of normals over TURN_SHARE of the width: flat, and surely not flat
-TURN_SHARE = 0.02
+LEAST_TURN_DEG = (8.0, 12.0)  # median angle of normals to their mean: flat but for noise, and surely not flat
 LEAST_GAIN = (0.3, 0.6)  # error of the given normals over that of shading's: of no use, and of use
 MOST_SENSITIVE = 0.9  # change of log brightness per radian: more than light on matter does
 
@@ -230,17 +229,13 @@ def _judged(level: Level, lit: _State, plain: _State) -> tuple[Float64, Float64,
     cells = level.cells
     explained = _lit(level, cells, cells_of(level.grey), plain.v).explained
     gain, turns = np.zeros(count), np.zeros(count)
-    inside = (cells >= 0).astype(np.float32)
-    spread = np.zeros_like(plain.v)
-    near = max(TURN_SHARE * cells.shape[1], 2.0)
-    for a in plain.N:
-        spread += around((a - around(a, inside, near)) ** 2, inside, near)
     sensitivity = np.hypot(lit.gu, lit.gv) / f4(level.focal)
     for k in range(count):
         here = cells == k
         if here.sum() < 50 or explained[k] <= 0:
             continue
-        turns[k] = math.degrees(math.sqrt(float(np.median(spread[here]))))
+        N = plain.N[:, here].astype(np.float64)
+        turns[k] = np.degrees(np.median(np.arccos(np.clip(N.mean(axis=1) @ N / max(float(np.linalg.norm(N.mean(axis=1))), 1e-9), -1, 1))))
         sense = min(float(np.median(sensitivity[here])), MOST_SENSITIVE)
         gain[k] = math.sqrt(float(np.median(level.turned[here]))) * sense / max(float(lit.light.residual[k]), GRAIN)
     least = np.minimum(explained, lit.light.explained)
