@@ -289,6 +289,7 @@ def light_of(
         L = np.where(w > 0, L, np.median(L[w > 0]))
         coefficients[k], residual[k], explained[k] = fit_light(L, n, w, radius)
         if only is None:
-            _, residual[k], explained[k] = fit_light(L, n, w, radius, start=coefficients[k], held_out=held)
+            judged = [fit_light(L, n, w, radius, start=coefficients[k], held_out=blocks)[1:] for blocks in (held, ~held)]
+            residual[k], explained[k] = (float(a) for a in np.mean(judged, axis=0))
         floor[k] = FLOOR * float(np.exp(np.median(L[w > 0])))
     return PlateLight(labels=labels, coefficients=coefficients, floor=floor, residual=residual, explained=explained)
