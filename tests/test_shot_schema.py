@@ -148,3 +148,13 @@ def test_key_lines_see_tables_arrays_and_comments() -> None:
     assert lines["l", 0, "n"] == 7
     assert lines["l", 1, "n"] == 9
     assert lines["a", "b", "q"] == 11
+
+
+@pytest.mark.parametrize(("told", "shading", "strength"), [('"on"', "on", 1.0), ('"off"', "off", 1.0), ("0.5", "on", 0.5), ("0", "off", 1.0), ("2", "on", 2.0)])
+def test_shading_is_a_word_or_a_strength(tmp_path: Path, told: str, shading: str, strength: float) -> None:
+    read = read_shot(shot(tmp_path, f"{SMALLEST}\n[surface]\nshading = {told}\n")).tables.surface
+    assert (read.shading, read.shading_strength) == (shading, strength)
+
+
+def test_a_strength_beyond_reason_is_refused(tmp_path: Path) -> None:
+    assert "shading" in refused(shot(tmp_path, f"{SMALLEST}\n[surface]\nshading = 9\n"))

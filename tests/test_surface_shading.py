@@ -19,6 +19,7 @@ FX_B = 250.0 * 0.065
 CAMERA = Camera(size=SIZE, K=np.array([[250.0, 0, 119.5], [0, 250.0, 89.5], [0, 0, 1]]))
 LIGHT = np.array([-0.55, 0.45, 0.70]) / np.linalg.norm([-0.55, 0.45, 0.70])
 NOISE_PX = 0.15
+NORMALS_DEG = 18.0  # what two thirds of the normals of such a depth are within
 WINDOW_PX = 6.0  # sigma of the blur that stands for a matcher's window
 
 Floats = npt.NDArray[np.float64]
@@ -70,7 +71,13 @@ CLOTH = (0.30, 0.42, 0.55)
 def cloth() -> Cloth:
     Z, N = waves()
     coarse, plate = matched(Z), lit(N, CLOTH)
-    return refine_by_shading(plate, coarse, CAMERA, Z_sigma=sigma_m(coarse)), Z, N, coarse, plate
+    return shaded_cloth(coarse, plate), Z, N, coarse, plate
+
+
+def shaded_cloth(coarse: npt.NDArray[np.float32], plate: npt.NDArray[np.float32]) -> ShadedSurface:
+    """Both errors told as they are: those of disparity are shared by fewer pixels here than the fit expects, and normals suffer more."""
+    given, _ = normals_and_sigma(coarse, CAMERA)
+    return refine_by_shading(plate, coarse, CAMERA, Z_sigma=sigma_m(coarse), N=given, N_sigma=np.full(coarse.shape, NORMALS_DEG, np.float32))
 
 
 def test_the_system_is_the_least_of_its_own_sum_of_squares() -> None:
@@ -205,7 +212,7 @@ def test_the_same_bits_on_any_number_of_threads(cloth: Cloth) -> None:
     before = numba.get_num_threads()
     try:
         numba.set_num_threads(1)
-        again = refine_by_shading(plate, coarse, CAMERA, Z_sigma=sigma_m(coarse))
+        again = shaded_cloth(coarse, plate)
     finally:
         numba.set_num_threads(before)
     np.testing.assert_array_equal(found.Z, again.Z)
@@ -232,3 +239,42 @@ def test_nonsense_is_refused_in_words(change: dict[str, object], word: str) -> N
     given: dict[str, object] = {"Z_sigma": sigma_m(Z)}
     with pytest.raises(PassError, match=word):
         refine_by_shading(plate, Z, CAMERA, **(given | change))  # type: ignore[arg-type]
+
+
+def test_depth_and_normals_are_one_surface(cloth: Cloth) -> None:
+    found, _, _, coarse, _ = cloth
+    inner = np.s_[8:-8, 8:-8]
+    of_depth, of_given = (normals_and_sigma(Z, CAMERA, radii_px=(1, 2))[0] for Z in (found.Z, coarse))
+    assert np.median(angle_deg(of_depth, found.N)[inner]) < 2
+    assert np.median(angle_deg(of_given, found.N)[inner]) > 6  # else the first line says nothing
+
+
+def fair(albedo: Floats, noise_px: float, shade: float = 1.0) -> tuple[float, float]:
+    """Median error of normals as given and with shading, of a cloth of this albedo (H, W), all errors told as they are."""
+    Z, N = waves()
+    coarse = (FX_B / (FX_B / Z + (FX_B / matched(Z).astype(np.float64) - FX_B / Z) * noise_px / NOISE_PX)).astype(np.float32)
+    given, _ = normals_and_sigma(coarse, CAMERA)
+    error = angle_deg(given, N)
+    told = np.full(Z.shape, np.quantile(error, 0.68), np.float32)
+    sigma = (sigma_m(coarse) * noise_px / NOISE_PX).astype(np.float32)
+    plate = lit(N, albedo[..., None] * np.array(CLOTH)) * np.float32(shade)
+    found = refine_by_shading(plate, coarse, CAMERA, Z_sigma=sigma, N=given, N_sigma=told)
+    inner = np.s_[8:-8, 8:-8]
+    return float(np.median(error[inner])), float(np.median(angle_deg(found.N, N)[inner]))
+
+
+@pytest.mark.parametrize("strength", [0.08, 0.2])
+def test_texture_is_not_printed_into_good_depth(strength: float) -> None:
+    from scipy import ndimage
+
+    rng = np.random.default_rng(11)
+    grain = sum((g / g.std() for g in (ndimage.gaussian_filter(rng.normal(size=SIZE[::-1]), s) for s in (1, 2, 4))), np.zeros(SIZE[::-1]))
+    before, after = fair(np.exp(strength * grain / 3**0.5), 0.03)
+    assert after < 1.1 * before
+
+
+def test_stripes_of_the_same_colour_make_no_relief() -> None:
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]]
+    for stripes in (0.25 * np.sin(2 * np.pi * y / 14), 0.4 * np.sign(np.sin(2 * np.pi * (x + y) / 30))):
+        before, after = fair(np.exp(stripes), 0.1)
+        assert after < 1.05 * before

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from stereorelight.errors import ShotError, StereoRelightError, nearest_hint
 from stereorelight.footage.clip import PACKED, is_movie
@@ -84,6 +84,15 @@ class SurfaceTable(Table):
     method: Literal["plane", "difference"] = "plane"
     shading: Literal["off", "on"] = "off"
     shading_strength: float = Field(default=1.0, gt=0, le=4)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _strength_as_shading(cls, told: Any) -> Any:
+        """`shading = 0.5` is on, at that strength; 0 is off."""
+        value = told.get("shading") if isinstance(told, dict) else None
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return told
+        return told | ({"shading": "off"} if value == 0 else {"shading": "on", "shading_strength": value})
 
 
 class RepairTable(Table):

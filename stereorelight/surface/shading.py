@@ -42,7 +42,7 @@ SLOW_SHARE = 1 / 48  # of the width: what varies over more is not shading's to t
 GRAIN = 0.035  # of log brightness: pores, threads and what no light model says
 TRUST = 6.0  # standard deviations of shading beyond which it is something else
 LEAST_SIGMA = 1e-5  # of Z, relative
-SIGMA_COEFFICIENTS = (2.197, 0.361, 0.404, 0.147)  # of N_sigma: see `_doubt` and docs/shading.md
+SIGMA_COEFFICIENTS = (2.684, 0.369, 0.175, -0.452)  # of N_sigma: see `_doubt` and docs/shading.md
 CLIPPED, BLACK = 0.98, 2e-3
 PAINT = 0.03  # change of log chromaticity that is beyond any mix of lights
 LEAST_EXPLAINED = (0.0, 0.1)  # by the light of one size: below it shading is left out there, above it it has its full weight
@@ -50,8 +50,8 @@ JUDGED_WIDTH = 480  # of the level at which materials are tested against dispari
 LEAST_SHARE = (0.38, 0.5)  # of the variance of brightness, explained by normals that shading had no part in: where disparity ...
 MUCH_GAIN = (8.0, 2.5)  # ... knows so much less than shading would
 HALF_SURE = 0.08  # of that share, to either side of the least: in between a material is shaded in part, so that frames do not jump
-LEAST_TURN_DEG = (8.0, 12.0)  # median angle of normals to their mean: flat but for noise, and surely not flat
-LEAST_GAIN = (0.3, 0.6)  # error of the given normals over that of shading's: of no use, and of use
+LEAST_TURN_DEG = (15.0, 20.0)  # median angle of normals to their mean: flat but for noise, and surely not flat
+LEAST_GAIN = (0.5, 0.7)  # error of the given normals over that of shading's: of no use, and of use
 MOST_SENSITIVE = 0.9  # change of log brightness per radian: more than light on matter does
 
 
@@ -245,22 +245,19 @@ def _judged(level: Level, lit: _State, plain: _State) -> tuple[Float64, Float64,
 
 
 def _doubt(level: Level, state: _State, N: Float32, given: Float32, share: Float32) -> Float32:
-    """(H, W) degrees within which two thirds of the normals made by shading lie, as four scenes with known normals have it.
+    """(H, W) degrees within which two thirds of the normals made by shading lie, as 23 faces and shirts with known normals have it.
 
-    It grows with what shading does not explain nearby, with how fast normals turn there, and with how far they were moved.
+    It grows with what shading does not explain nearby and with how far normals were moved, and falls with the size of the frame: the
+    same feature has more pixels there.
     """
     k = level.v.shape[1] / 960
     inside = (share > 0).astype(np.float32)
-    turning = np.zeros_like(level.v)
-    for a in state.N:
-        turning += np.gradient(a, axis=0) ** 2 + np.gradient(a, axis=1) ** 2
     with np.errstate(invalid="ignore"):
         moved = np.degrees(np.arccos(np.clip((N * given).sum(axis=-1), -1, 1)))
     doubted = np.log(around(1 - state.weight, inside, 4 * k) + f4(0.05))
-    turned = np.log(np.degrees(np.sqrt(around(turning, inside, 4 * k))) * f4(k) + f4(0.2))
     pushed = np.log(around(np.nan_to_num(moved, nan=0.0).astype(np.float32), inside, 4 * k) + f4(0.5))
     c = SIGMA_COEFFICIENTS
-    sigma: Float32 = np.exp(c[0] + c[1] * doubted + c[2] * turned + c[3] * pushed).astype(np.float32)
+    sigma: Float32 = np.exp(c[0] + c[1] * doubted + c[2] * pushed + c[3] * math.log(k)).astype(np.float32)
     return np.clip(sigma, 0.5, 90)
 
 
