@@ -150,7 +150,9 @@ def test_key_lines_see_tables_arrays_and_comments() -> None:
     assert lines["a", "b", "q"] == 11
 
 
-@pytest.mark.parametrize(("told", "shading", "strength"), [('"on"', "on", 1.0), ('"off"', "off", 1.0), ("0.5", "on", 0.5), ("0", "off", 1.0), ("2", "on", 2.0)])
+@pytest.mark.parametrize(
+    ("told", "shading", "strength"), [('"on"', "on", 1.0), ('"off"', "off", 1.0), ("0.5", "on", 0.5), ("0", "off", 1.0), ("2", "on", 2.0)]
+)
 def test_shading_is_a_word_or_a_strength(tmp_path: Path, told: str, shading: str, strength: float) -> None:
     read = read_shot(shot(tmp_path, f"{SMALLEST}\n[surface]\nshading = {told}\n")).tables.surface
     assert (read.shading, read.shading_strength) == (shading, strength)

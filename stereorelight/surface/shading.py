@@ -220,7 +220,7 @@ def _rising(a: Float64, low: npt.ArrayLike, high: npt.ArrayLike) -> Float64:
 
 
 def _judged(level: Level, lit: _State, plain: _State) -> tuple[Float64, Float64, Float64, Float64]:
-    """How far each material's shading is trusted (0..1), the share it explains by normals it had no part in, its gain over disparity, how normals turn.
+    """How far each material's shading is trusted (0..1), the share it explains by normals it had no part in, its gain, how normals turn.
 
     Three questions: do normals from disparity alone explain the brightness (else it is paint); do they turn at all (else the material
     is flat, and all its brightness is paint); does shading, as far as its light fits, know normals better than disparity does?
