@@ -13,9 +13,9 @@ import numpy as np
 
 from stereorelight.arrays import Float64
 from stereorelight.errors import ShotError, nearest_hint
+from stereorelight.light.base import NAME, SPACES, STRONGEST
 from stereorelight.light.checks import Checked, Vector, is_number
 from stereorelight.light.environment_maps import KINDS, MapKind
-from stereorelight.light.lights import NAME, SPACES, STRONGEST
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from stereorelight.errors import ShotError
+from stereorelight.light.base import NAME, Light
 from stereorelight.light.checks import Checked, Vector, checked_keys
-from stereorelight.light.lights import NAME, Light, PointLight
+from stereorelight.light.lights import PointLight
 
 LEAST_ALPHA = 0.002  # of GGX: a highlight smaller than that of roughness 0.045 is smaller than any pixel
 _SAMPLES = 96  # in each of two directions, for the albedo of a lobe

@@ -18,8 +18,8 @@ import numpy.typing as npt
 from stereorelight.arrays import Float32, Float64, as_float32
 from stereorelight.camera import Camera
 from stereorelight.errors import PassError, ShotError, nearest_hint
+from stereorelight.light.base import FARTHEST_M, NAME, SPACES
 from stereorelight.light.checks import Checked, Vector, checked_keys
-from stereorelight.light.lights import FARTHEST_M, NAME, SPACES
 
 MATTES: dict[str, type[Matte]] = {}  # by the word that `type` holds in a file
 PASSES = {"P": 3, "N": 3, "Z": None}

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from stereorelight.arrays import Float32
 from stereorelight.errors import ShotError, nearest_hint
+from stereorelight.light.base import NAME
 from stereorelight.light.checks import Checked, Vector, checked_keys, is_number
-from stereorelight.light.lights import NAME
 from stereorelight.light.matcap import lit_sphere, outline, toon
 
 PAINTS: dict[str, type[Paint]] = {}  # by the word that `type` holds in a file
