@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
 
@@ -70,6 +71,30 @@ def test_callers_at_once_do_not_disturb_one_another() -> None:
     for helper in helpers:
         helper.join()
     assert np.array_equal(out, np.arange(400) + np.arange(6)[:, None])
+
+
+def test_rows_within_rows_do_not_wait_for_each_other() -> None:
+    out = np.zeros((40, 40), np.int64)
+
+    def outer(first: int, end: int) -> None:
+        for row in range(first, end):
+            in_row_blocks(lambda a, b, row=row: out[row].__setitem__(slice(a, b), np.arange(a, b) + row), 40, block_rows=1)
+
+    done = threading.Thread(target=lambda: in_row_blocks(outer, 40, block_rows=1), daemon=True)
+    done.start()
+    done.join(timeout=60)
+    assert not done.is_alive()
+    assert np.array_equal(out, np.arange(40) + np.arange(40)[:, None])
+
+
+def test_a_forked_child_has_threads_of_its_own() -> None:
+    in_row_blocks(lambda first, end: None, 160)
+    child = os.fork()
+    if child == 0:
+        rows: list[int] = []
+        in_row_blocks(lambda first, end: rows.extend(range(first, end)), 160)
+        os._exit(0 if sorted(rows) == list(range(160)) else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 def test_set_threads_sets_both() -> None:

@@ -6,12 +6,26 @@ two callers inside its `workqueue` layer abort the process."""
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import os
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numba
 
 BLOCK_ROWS = 16
+
+
+@functools.cache
+def _pool() -> ThreadPoolExecutor:
+    """Threads that stay: a recovery of depth shares out rows hundreds of times, and starting threads took a tenth of it."""
+    return ThreadPoolExecutor(max_workers=max(1, numba.config.NUMBA_NUM_THREADS), thread_name_prefix="rows")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked child has none of its parent's threads
 
 
 def in_row_blocks(run: Callable[[int, int], None], height: int, *, block_rows: int = BLOCK_ROWS) -> None:
@@ -35,11 +49,12 @@ def in_row_blocks(run: Callable[[int, int], None], height: int, *, block_rows: i
                 problems.append(problem)
 
     count = min(numba.get_num_threads(), -(-height // block_rows))
-    helpers = [threading.Thread(target=work, daemon=True) for _ in range(count - 1)]
-    for helper in helpers:
-        helper.start()
+    helpers: list[Future[None]] = []
+    with contextlib.suppress(RuntimeError):  # where the interpreter is ending, no other thread takes new work
+        helpers += [_pool().submit(work) for _ in range(count - 1)]
     work()
     for helper in helpers:
-        helper.join()
+        if not helper.cancel():  # one that never began, as where a pool's own thread asks for rows, is not waited for
+            helper.result()
     if problems:
         raise problems[0]
