@@ -103,6 +103,17 @@ def damaged(path: Path) -> None:
 # Movies that are damaged, or none
 
 
+def test_both_movies_cut_alike(shot: Path) -> None:
+    """As long as each other is not whole: neither `run` nor `check` takes what is left for the shot."""
+    for eye in ("left", "right"):
+        cut(shot / f"{eye}.mkv", 0.6)
+    sizes = {eye: (shot / f"{eye}.mkv").stat().st_size for eye in ("left", "right")}
+    assert min(sizes.values()) > 0
+    for command in ("run", "check"):
+        refused(command, shot / "shot.toml", words=("the file is cut short", "missing after frame", "--frames 1-"), kind="PlateError")
+    assert not (shot / "out").exists()
+
+
 @pytest.mark.parametrize("eye", ["left", "right"])
 def test_a_movie_cut_short(shot: Path, eye: str) -> None:
     """Both eyes would have to be as long: the frames that would do are named, and with them everything runs."""

@@ -165,6 +165,9 @@ def _paired(left: Clip, right: Clip, shift: int, wanted: str | None, *, cut: boo
             held, faults = len(right.frames), "; ".join(f"{clip.pictures.pattern}: {clip.fault}" for clip in (left, right) if clip.fault)
             what = f"holds {held} frame{'s' * (held > 1)}, but {left.pictures.pattern} {len(left.frames)}{faults and f' ({faults})'}"
             raise PlateError(f"{right.pictures.pattern}: {what}. Give --frames {frames_text(both)}, or restore the missing ones")
+        short = next((clip for clip in (left, right) if "cut short" in clip.fault), None)
+        if short is not None:  # eyes that end alike, as in one file, are not whole for that
+            raise PlateError(f"{short.pictures.pattern}: {short.fault}. Give --frames {frames_text(both)}, or copy or export it again")
         return tuple(both)
     for n in numbers:
         for clip, own in ((left, n), (right, n + shift)):
