@@ -39,10 +39,10 @@ def test_census_counts_the_steps_between_answers() -> None:
     assert [bin(int(w)).count("1") for w in (words[0] ^ words[1]).ravel()] == list(steps.ravel())
 
 
-@pytest.mark.parametrize("low", [-9, 0, 3])
-def test_costs_are_averaged_as_told(low: int) -> None:
+@pytest.mark.parametrize(("low", "h", "w"), [(-9, 10, 26), (0, 11, 26), (3, 10, 26), (-9, 5, 83), (2, 4, 83)])
+def test_costs_are_averaged_as_told(low: int, h: int, w: int) -> None:
     """Against the sums written out, over two chunks, with disparities that leave the frame on both sides."""
-    h, w, count = 10, 26, CHUNK + 4
+    count = CHUNK + 4
     left, right = textured(1, h, w), textured(2, h, w)
     given = np.random.default_rng(3).uniform(low, low + count, (h, w)).astype(f4)
     given[0, :5] = np.nan

@@ -4,7 +4,8 @@ In: two rectified pictures, rows agreeing, and a range of whole-pixel disparitie
 The cost is a census transform of three answers (brighter, alike, darker; after Zabih and Woodfill 1994) with a truncated difference of
 grey.  It is averaged by a recursive filter whose weights fall with every step of colour on the way (after Gastal and Oliveira 2011, Pham
 and Jeon 2013), so a window of cost takes the shape of the thing that it lies on: gaps between slats stay gaps.
-The costs of `CHUNK` disparities are held at a time, whatever the range.  Sums have a fixed order: the same bits whatever the threads."""
+The costs of `CHUNK` disparities are held at a time, two bytes each, whatever the range.  Sums have a fixed order: the same bits whatever the
+threads."""
 
 from __future__ import annotations
 
@@ -16,16 +17,17 @@ import numpy.typing as npt
 from numba import njit
 
 from stereorelight.arrays import Float32, UInt8
-from stereorelight.engine.fastmath import bits_of, float_of
+from stereorelight.engine.fastmath import float_of
 from stereorelight.engine.rows import in_row_blocks
-from stereorelight.engine.support_vector import LANES, back, costs, forth, least, take_less
+from stereorelight.engine.support_vector import LANES, back, back_whole, costs, forth, forth_whole, least, take_less
 
 f4 = np.float32
 i4 = np.int32
 CHUNK = LANES  # disparities held at a time
-COLUMNS = 16  # of a block of the filter along columns
 REACH = 2  # px of the census window
 FAR = np.int32(0x7F000000)  # above every cost
+CENSUS_STEPS = 2 * ((2 * REACH + 1) ** 2 - 1)  # that two pixels can be apart
+MOST = 65_000.0  # the largest cost between rows and columns, where costs are whole numbers of 16 bits: half the memory to fetch
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -59,87 +61,100 @@ def census(grey: Float32, *, alike: float) -> npt.NDArray[np.uint64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _along_row(cost, weight, n, front, ahead):
-    """Each pixel's mean cost over its row, each other pixel weighed by the product of the weights on the way; all flat."""
-    W = weight.size
-    n[0] = f4(1)
-    front[:CHUNK], ahead[:] = cost[:CHUNK], f4(0)
-    for x in range(1, W):
-        forth(cost, x * CHUNK, weight[x], front, (x - 1) * CHUNK, x * CHUNK)
-        n[x] = f4(1) + weight[x] * n[x - 1]
-    m = f4(0)
-    for x in range(W - 1, -1, -1):
-        back(cost, x * CHUNK, weight[x], f4(1) / (n[x] + m), front, x * CHUNK, ahead, 0)
-        m = weight[x] * (m + f4(1))
+def _row_forth(words, greys, first, word, grey, top, cap, step, given, pull, limit, weight, c, front):
+    """Costs `c` of a row, and their running sums `front` from the left; flat."""
+    for x in range(weight.size):
+        d = given[x]
+        most = limit if d == d else f4(0)
+        costs(words, greys, x - top + first, word[x], grey[x], step, cap, f4(top) - d, pull, most, c, x * CHUNK)
+        forth(c, x * CHUNK, weight[x], front, x * CHUNK, (x + 1) * CHUNK)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rows(first, end, word, grey, other_word, other_grey, top, cap, step, given, pull, limit, weight, cost):
+def _rows_back(weight, inverse, c, front, ahead, out, weight2, inverse2, c2, front2, out2):
+    """Each pixel's mean cost over its row, each other pixel weighed by the product of the weights on the way; two rows at a time, since
+    one alone waits for itself at every pixel."""
+    ahead[:] = f4(0)
+    for x in range(weight.size - 1, -1, -1):
+        back(c, x * CHUNK, weight[x], inverse[x], front, (x + 1) * CHUNK, ahead, 0, out, x * CHUNK)
+        back(c2, x * CHUNK, weight2[x], inverse2[x], front2, (x + 1) * CHUNK, ahead, CHUNK, out2, x * CHUNK)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _scaled(row, scale, out):
+    for x in range(row.size):
+        out[x] = scale * row[x]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _rows(first, end, word, grey, other_word, other_grey, scale, top, cap, step, given, pull, limit, weight, inverse, cost):
     """Costs of the disparities top, top - 1, ...: cost[y, x, k] is of top - k, which lies at column x - top + k of the other eye."""
     W = grey.shape[1]
     before = max(0, top)  # columns that are looked up before the frame, and after it
     after = max(0, CHUNK - 1 - top)
-    words, greys = np.empty(before + W + after, np.uint64), np.empty(before + W + after, np.float32)
-    n, front, ahead = np.empty(W, np.float32), np.empty(W * CHUNK, np.float32), np.empty(CHUNK, np.float32)
-    for y in range(first, end):
-        words[:before], greys[:before] = other_word[y, 0], other_grey[y, 0]
-        words[before : before + W], greys[before : before + W] = other_word[y], other_grey[y]
-        words[before + W :], greys[before + W :] = other_word[y, W - 1], other_grey[y, W - 1]
-        c = cost[y].reshape(W * CHUNK)
-        for x in range(W):
-            d = given[y, x]
-            most = limit if d == d else f4(0)
-            costs(words, greys, x - top + before, word[y, x], grey[y, x], step, cap, f4(top) - d, pull, most, c, x * CHUNK)
-        _along_row(c, weight[y], n, front, ahead)
+    words, greys, own = np.empty(before + W + after, np.uint64), np.empty(before + W + after, np.float32), np.empty(W, np.float32)
+    c, front, ahead = np.empty((2, W * CHUNK), np.float32), np.empty((2, (W + 1) * CHUNK), np.float32), np.empty(2 * CHUNK, np.float32)
+    front[:, :CHUNK] = f4(0)
+    for y in range(first, end, 2):
+        z = min(y + 1, end - 1)
+        for i, row in enumerate((y, z)):
+            words[:before], words[before : before + W], words[before + W :] = other_word[row, 0], other_word[row], other_word[row, W - 1]
+            _scaled(grey[row], scale, own)
+            _scaled(other_grey[row], scale, greys[before : before + W])
+            greys[:before], greys[before + W :] = greys[before], greys[before + W - 1]
+            _row_forth(words, greys, before, word[row], own, top, cap, step, given[row], pull, limit, weight[row], c[i], front[i])
+        out, out2 = cost[y].reshape(W * CHUNK), cost[z].reshape(W * CHUNK)
+        _rows_back(weight[y], inverse[y], c[0], front[0], ahead, out, weight[z], inverse[z], c[1], front[1], out2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _columns(first, end, weight, cost):
-    """The same along columns, `first` to `end`."""
+def _columns(begin, end, turn, weight, inverse, cost, top, index, keep, best, below, above, last, right):
+    """The same along columns, and what they say: `best` and `right` are costs with the disparity's index in their lowest bits; `below` and
+    `above` the costs of one disparity less and more.
+
+    begin, end : of blocks of `CHUNK` columns, every other one, `turn` the first; what a block says of the other eye's columns reaches
+                 into the block beside it, and no further.
+    """
     H, W = cost.shape[:2]
-    columns = end - first
-    flat, front = cost.reshape(H * W * CHUNK), np.empty(H * columns * CHUNK, np.float32)
-    ahead = np.zeros(columns * CHUNK, np.float32)
-    norm, m = np.ones((H, columns), np.float32), np.zeros(columns, np.float32)
-    front[: columns * CHUNK] = flat[first * CHUNK : end * CHUNK]
-    for y in range(1, H):
-        for x in range(columns):
-            a = weight[y, first + x]
-            at = (y * columns + x) * CHUNK
-            forth(flat, (y * W + first + x) * CHUNK, a, front, at - columns * CHUNK, at)
-            norm[y, x] = f4(1) + a * norm[y - 1, x]
-    for y in range(H - 1, -1, -1):
-        for x in range(columns):
-            a = weight[y, first + x]
-            inverse = f4(1) / (norm[y, x] + m[x])
-            back(flat, (y * W + first + x) * CHUNK, a, inverse, front, (y * columns + x) * CHUNK, ahead, x * CHUNK)
-            m[x] = a * (m[x] + f4(1))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _best(first, end, cost, top, index, keep, best, below, above, last, right):
-    """Take in a chunk: `best` and `right` are costs with the disparity's index in their lowest bits; `below` and `above` the costs of
-    one disparity less and more."""
-    W = best.shape[1]
-    for y in range(first, end):
-        mine, other, c = best[y], right[y], cost[y].reshape(W * CHUNK)
-        for x in range(W):
-            at = x * CHUNK
-            if mine[x] & ~keep == index - 1:  # the best of all so far was the last of the chunk before
-                below[y, x] = c[at]
-            m = least(c, at, keep, i4(index))
-            if m < mine[x]:
-                mine[x] = m
-                k = (m & ~keep) - index
-                above[y, x] = c[at + k - 1] if k > 0 else last[y, x]
-                below[y, x] = c[at + k + 1] if k < CHUNK - 1 else f4(np.inf)
-            last[y, x] = c[at + CHUNK - 1]
-            u = x - top
-            if u >= 0 and u + CHUNK <= W:
-                take_less(c, at, keep, i4(index), other, u)
+    flat, front = cost.reshape(H * W * CHUNK), np.empty((H + 1) * CHUNK * CHUNK, np.float32)
+    front[: CHUNK * CHUNK] = f4(0)
+    ahead, c = np.empty(CHUNK * CHUNK, np.float32), np.empty(CHUNK, np.float32)
+    # Row i is what the block's column i says of the other eye, laid over the columns that it says it of.
+    said, least_said = np.full(CHUNK * 2 * CHUNK, FAR, np.int32), np.empty(2 * CHUNK, np.int32)
+    for block in range(2 * begin + turn, 2 * end + turn, 2):
+        first = block * CHUNK
+        columns = min(CHUNK, W - first)
+        for y in range(H):
+            for i in range(columns):
+                at = (y * CHUNK + i) * CHUNK
+                forth_whole(flat, (y * W + first + i) * CHUNK, weight[y, first + i], front, at, at + CHUNK * CHUNK)
+        ahead[:] = f4(0)
+        for y in range(H - 1, -1, -1):
+            mine = best[y]
+            for i in range(columns):
+                x = first + i
+                at = ((y + 1) * CHUNK + i) * CHUNK
+                back_whole(flat, (y * W + x) * CHUNK, weight[y, x], inverse[y, x], front, at, ahead, i * CHUNK, c, 0)
+                lowest = least(c, 0, keep, i4(index), said, i * (2 * CHUNK + 1))
+                if mine[x] & ~keep == index - 1:  # the best of all so far was the last of the chunk before
+                    below[y, x] = c[0]
+                if lowest < mine[x]:
+                    mine[x] = lowest
+                    k = (lowest & ~keep) - index
+                    above[y, x] = c[k - 1] if k > 0 else last[y, x]
+                    below[y, x] = c[k + 1] if k < CHUNK - 1 else f4(np.inf)
+                last[y, x] = c[CHUNK - 1]
+            least_said[:] = FAR
+            for i in range(columns):
+                take_less(said, i * 2 * CHUNK, least_said, 0)
+                take_less(said, i * 2 * CHUNK + CHUNK, least_said, CHUNK)
+            u = first - top
+            if u >= 0 and u + 2 * CHUNK <= W:
+                take_less(least_said, 0, right[y], u)
+                take_less(least_said, CHUNK, right[y], u + CHUNK)
             else:
-                for k in range(max(0, -u), min(CHUNK, W - u)):
-                    other[u + k] = min(other[u + k], (bits_of(c[at + k]) & keep) | i4(index + k))
+                for k in range(max(0, -u), min(2 * CHUNK, W - u)):
+                    right[y, u + k] = min(right[y, u + k], least_said[k])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -160,16 +175,55 @@ def _answers(first, end, best, below, above, right, keep, highest, left_out, rig
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _alike(first, end, picture, tones, reach, across, down):
+def _apart(a, b, out):
+    """The difference of the channel that differs most."""
+    for x in range(out.size):
+        d = max(abs(i4(a[x, 0]) - i4(b[x, 0])), abs(i4(a[x, 1]) - i4(b[x, 1])))
+        out[x] = max(d, abs(i4(a[x, 2]) - i4(b[x, 2])))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _alike(first, end, picture, share, across, down):
     W = picture.shape[1]
+    apart = np.zeros(W, np.int32)
     for y in range(first, end):
+        _apart(picture[y, 1:], picture[y], apart[1:])
+        apart[0] = 0
         for x in range(W):
-            i, j = max(x - 1, 0), max(y - 1, 0)
-            a = b = f4(0)
-            for c in range(3):
-                a = max(a, abs(f4(picture[y, x, c]) - f4(picture[y, i, c])))
-                b = max(b, abs(f4(picture[y, x, c]) - f4(picture[j, x, c])))
-            across[y, x], down[y, x] = np.exp(-a / tones - f4(1) / reach), np.exp(-b / tones - f4(1) / reach)
+            across[y, x] = share[apart[x]]
+        _apart(picture[y], picture[max(y - 1, 0)], apart)
+        for x in range(W):
+            down[y, x] = share[apart[x]]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _worth_across(first, end, weight, out):
+    """One over the sum of the weights that a pixel's row has for it."""
+    W = weight.shape[1]
+    for y in range(first, end):
+        n = f4(0)
+        for x in range(W):
+            n = f4(1) + weight[y, x] * n
+            out[y, x] = n
+        m = f4(0)
+        for x in range(W - 1, -1, -1):
+            out[y, x] = f4(1) / (out[y, x] + m)
+            m = weight[y, x] * (m + f4(1))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _worth_down(first, end, weight, out):
+    """The same of its column, for the columns `first` to `end`."""
+    H = weight.shape[0]
+    n, m = np.zeros(end - first, np.float32), np.zeros(end - first, np.float32)
+    for y in range(H):
+        for x in range(first, end):
+            n[x - first] = f4(1) + weight[y, x] * n[x - first]
+            out[y, x] = n[x - first]
+    for y in range(H - 1, -1, -1):
+        for x in range(first, end):
+            out[y, x] = f4(1) / (out[y, x] + m[x - first])
+            m[x - first] = weight[y, x] * (m[x - first] + f4(1))
 
 
 def supported(
@@ -199,21 +253,27 @@ def supported(
     """
     H, W = left_grey.shape
     words, other_words = census(left_grey, alike=alike), census(right_grey, alike=alike)
-    across, down = np.empty((H, W), np.float32), np.empty((H, W), np.float32)
-    in_row_blocks(lambda a, b: _alike(a, b, left, f4(tones), f4(reach_px), across, down), H)
+    across, down, across_worth, down_worth = (np.empty((H, W), np.float32) for _ in range(4))
+    share = np.exp(-np.arange(256, dtype=np.float32) / f4(tones) - 1 / f4(reach_px))
+    in_row_blocks(lambda a, b: _alike(a, b, left, share, across, down), H)
+    in_row_blocks(lambda a, b: _worth_across(a, b, across, across_worth), H)
+    in_row_blocks(lambda a, b: _worth_down(a, b, down, down_worth), W, block_rows=4 * CHUNK)
     given = np.full((H, W), np.nan, np.float32) if given is None else given
     chunks = -(-count // CHUNK)
     keep = i4(-(1 << int(chunks * CHUNK).bit_length()))
-    cost = np.empty((H, W, CHUNK), np.float32)
+    cost = np.empty((H, W, CHUNK), np.uint16)
+    scale = MOST / (CENSUS_STEPS * step + cap_levels + limit)  # of costs: as fine as whole numbers allow
+    cap, step, pull, limit = (f4(scale * a) for a in (cap_levels, step, pull, limit))
     best, other = np.full((H, W), FAR, np.int32), np.full((H, W), FAR, np.int32)
     below, above, last = (np.full((H, W), np.inf, np.float32) for _ in range(3))
-    highest = low + count - 1
+    highest, blocks = low + count - 1, -(-W // CHUNK)
     for index in range(0, chunks * CHUNK, CHUNK):
         top = highest - index
-        of_row = (words, left_grey, other_words, right_grey, top, f4(cap_levels), f4(step), given, f4(pull), f4(limit), across, cost)
+        of_row = (words, left_grey, other_words, right_grey, f4(scale), top, cap, step, given, pull, limit, across, across_worth, cost)
         in_row_blocks(partial(_spread, _rows, of_row), H)
-        in_row_blocks(partial(_spread, _columns, (down, cost)), W, block_rows=COLUMNS)
-        in_row_blocks(partial(_spread, _best, (cost, top, index, keep, best, below, above, last, other)), H)
+        for turn in (0, 1):
+            of_column = (turn, down, down_worth, cost, top, index, keep, best, below, above, last, other)
+            in_row_blocks(partial(_spread, _columns, of_column), (blocks + 1 - turn) // 2, block_rows=3)
     answer, answer_right = np.empty((H, W), np.float32), np.empty((H, W), np.float32)
     in_row_blocks(lambda a, b: _answers(a, b, best, below, above, other, keep, highest, answer, answer_right), H)
     return answer, answer_right

@@ -11,9 +11,9 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 LANES = 16
-FLOAT, INT, LONG = ir.FloatType(), ir.IntType(32), ir.IntType(64)
-FLOATS, INTS, LONGS = (ir.VectorType(t, LANES) for t in (FLOAT, INT, LONG))
-VECTOR = {FLOAT: FLOATS, INT: INTS, LONG: LONGS}
+FLOAT, SHORT, INT, LONG = ir.FloatType(), ir.IntType(16), ir.IntType(32), ir.IntType(64)
+FLOATS, SHORTS, INTS, LONGS = (ir.VectorType(t, LANES) for t in (FLOAT, SHORT, INT, LONG))
+VECTOR = {FLOAT: FLOATS, SHORT: SHORTS, INT: INTS, LONG: LONGS}
 
 
 def _at(context, builder, array_type, array, index, scalar):
@@ -44,6 +44,25 @@ def _call(builder, name, result, *args):
 def _capped(builder, value, cap):
     """The lesser of both; the cap where the value is NaN."""
     return builder.select(builder.fcmp_ordered("<", value, cap), value, cap)
+
+
+def _whole(context, builder, kind, cost, i):
+    """Sixteen whole numbers as float."""
+    return builder.uitofp(builder.zext(_load(context, builder, kind, cost, i, SHORT), INTS), FLOATS)
+
+
+def _mean(context, builder, signature, args):
+    """inverse (front[k:] + ahead[j:]) of the arguments of `back`."""
+    kinds = signature.args
+    front, ahead = _load(context, builder, kinds[4], args[4], args[5], FLOAT), _load(context, builder, kinds[6], args[6], args[7], FLOAT)
+    return builder.fmul(builder.fadd(front, ahead), _splat(builder, args[3]))
+
+
+def _go_back(context, builder, signature, args, own):
+    """ahead[j:] = share (ahead[j:] + own) of the arguments of `back`."""
+    kind, ahead, j = signature.args[6], args[6], args[7]
+    beyond = builder.fadd(_load(context, builder, kind, ahead, j, FLOAT), own)
+    _store(context, builder, builder.fmul(beyond, _splat(builder, args[2])), kind, ahead, j, FLOAT)
 
 
 @intrinsic
@@ -83,56 +102,81 @@ def forth(typingctx, cost, i, share, front, j, k):
 
 
 @intrinsic
-def back(typingctx, cost, i, share, inverse, front, k, ahead, j):
-    """cost[i:] = inverse (front[k:] + ahead[j:]), and ahead[j:] = share (ahead[j:] + what cost was)."""
+def back(typingctx, cost, i, share, inverse, front, k, ahead, j, out, o):
+    """out[o:] = inverse (front[k:] + ahead[j:]) as whole numbers (uint16), and ahead[j:] = share (ahead[j:] + cost[i:])."""
 
     def body(context, builder, signature, args):
-        cost, i, share, inverse, front, k, ahead, j = args
+        (cost, i), (out, o) = args[:2], args[8:]
         kinds = signature.args
-        own = _load(context, builder, kinds[0], cost, i, FLOAT)
-        beyond = _load(context, builder, kinds[6], ahead, j, FLOAT)
-        total = builder.fadd(_load(context, builder, kinds[4], front, k, FLOAT), beyond)
-        _store(context, builder, builder.fmul(total, _splat(builder, inverse)), kinds[0], cost, i, FLOAT)
-        _store(context, builder, builder.fmul(builder.fadd(beyond, own), _splat(builder, share)), kinds[6], ahead, j, FLOAT)
+        own, total = _load(context, builder, kinds[0], cost, i, FLOAT), _mean(context, builder, signature, args)
+        whole = builder.fptoui(builder.fadd(total, ir.Constant(FLOATS, [0.5] * LANES)), INTS)
+        _store(context, builder, builder.trunc(whole, SHORTS), kinds[8], out, o, SHORT)
+        _go_back(context, builder, signature, args, own)
         return context.get_dummy_value()
 
     n, f = types.int64, types.float32
-    return types.void(cost, n, f, f, front, n, ahead, n), body
-
-
-def _keys(context, builder, kind, cost, i, keep, index):
-    """The bits of positive costs, which order as they do, their lowest ones taken for index + k."""
-    bits = builder.bitcast(_load(context, builder, kind, cost, i, FLOAT), INTS)
-    number = builder.add(_splat(builder, index), ir.Constant(INTS, list(range(LANES))))
-    return builder.or_(builder.and_(bits, _splat(builder, keep)), number)
-
-
-def _less(builder, a, b):
-    return builder.select(builder.icmp_signed("<", a, b), a, b)
+    return types.void(cost, n, f, f, front, n, ahead, n, out, n), body
 
 
 @intrinsic
-def least(typingctx, cost, i, keep, index):
-    """The least of cost[i : i + 16] as an int32 whose lowest bits, those not in `keep`, are its index + k."""
+def forth_whole(typingctx, cost, i, share, front, j, k):
+    """`forth` of costs that are whole numbers (uint16)."""
 
     def body(context, builder, signature, args):
-        cost, i, keep, index = args
-        keys = _keys(context, builder, signature.args[0], cost, i, keep, index)
-        return _call(builder, f"llvm.vector.reduce.smin.v{LANES}i32", INT, keys)
+        cost, i, share, front, j, k = args
+        kinds = signature.args
+        last = builder.fmul(_load(context, builder, kinds[3], front, j, FLOAT), _splat(builder, share))
+        _store(context, builder, builder.fadd(_whole(context, builder, kinds[0], cost, i), last), kinds[3], front, k, FLOAT)
+        return context.get_dummy_value()
 
-    return types.int32(cost, types.int64, types.int32, types.int32), body
+    n = types.int64
+    return types.void(cost, n, types.float32, front, n, n), body
 
 
 @intrinsic
-def take_less(typingctx, cost, i, keep, index, out, o):
-    """out[o:] = the lesser of out[o:] and the keys of cost[i:]."""
+def back_whole(typingctx, cost, i, share, inverse, front, k, ahead, j, out, o):
+    """out[o:] = inverse (front[k:] + ahead[j:]), and ahead[j:] = share (ahead[j:] + cost[i:]), where costs are whole numbers (uint16)."""
+
+    def body(context, builder, signature, args):
+        (cost, i), (out, o) = args[:2], args[8:]
+        kinds = signature.args
+        own = _whole(context, builder, kinds[0], cost, i)
+        _store(context, builder, _mean(context, builder, signature, args), kinds[8], out, o, FLOAT)
+        _go_back(context, builder, signature, args, own)
+        return context.get_dummy_value()
+
+    n, f = types.int64, types.float32
+    return types.void(cost, n, f, f, front, n, ahead, n, out, n), body
+
+
+@intrinsic
+def least(typingctx, cost, i, keep, index, out, o):
+    """The least of cost[i : i + 16] as an int32 whose lowest bits, those not in `keep`, are its index + k; out[o:] = all of them so.
+
+    The bits of positive costs order as they do.
+    """
 
     def body(context, builder, signature, args):
         cost, i, keep, index, out, o = args
-        keys = _keys(context, builder, signature.args[0], cost, i, keep, index)
-        before = _load(context, builder, signature.args[4], out, o, INT)
-        _store(context, builder, _less(builder, keys, before), signature.args[4], out, o, INT)
-        return context.get_dummy_value()
+        bits = builder.bitcast(_load(context, builder, signature.args[0], cost, i, FLOAT), INTS)
+        number = builder.add(_splat(builder, index), ir.Constant(INTS, list(range(LANES))))
+        keys = builder.or_(builder.and_(bits, _splat(builder, keep)), number)
+        _store(context, builder, keys, signature.args[4], out, o, INT)
+        return _call(builder, f"llvm.vector.reduce.smin.v{LANES}i32", INT, keys)
 
     n, i4 = types.int64, types.int32
-    return types.void(cost, n, i4, i4, out, n), body
+    return types.int32(cost, n, i4, i4, out, n), body
+
+
+@intrinsic
+def take_less(typingctx, a, i, b, j):
+    """b[j : j + 16] = the lesser of it and a[i : i + 16], int32."""
+
+    def body(context, builder, signature, args):
+        a, i, b, j = args
+        new, old = _load(context, builder, signature.args[0], a, i, INT), _load(context, builder, signature.args[2], b, j, INT)
+        _store(context, builder, builder.select(builder.icmp_signed("<", new, old), new, old), signature.args[2], b, j, INT)
+        return context.get_dummy_value()
+
+    n = types.int64
+    return types.void(a, n, b, n), body
