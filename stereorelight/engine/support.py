@@ -61,8 +61,9 @@ def census(grey: Float32, *, alike: float) -> npt.NDArray[np.uint64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _row_forth(words, greys, first, word, grey, top, cap, step, given, pull, limit, weight, c, front):
+def _row_forth(words, greys, first, word, grey, top, terms, given, weight, c, front):
     """Costs `c` of a row, and their running sums `front` from the left; flat."""
+    cap, step, pull, limit = terms
     for x in range(weight.size):
         d = given[x]
         most = limit if d == d else f4(0)
@@ -87,7 +88,7 @@ def _scaled(row, scale, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rows(first, end, word, grey, other_word, other_grey, scale, top, cap, step, given, pull, limit, weight, inverse, cost):
+def _rows(first, end, word, grey, other_word, other_grey, scale, top, terms, given, weight, inverse, cost):
     """Costs of the disparities top, top - 1, ...: cost[y, x, k] is of top - k, which lies at column x - top + k of the other eye."""
     W = grey.shape[1]
     before = max(0, top)  # columns that are looked up before the frame, and after it
@@ -102,7 +103,7 @@ def _rows(first, end, word, grey, other_word, other_grey, scale, top, cap, step,
             _scaled(grey[row], scale, own)
             _scaled(other_grey[row], scale, greys[before : before + W])
             greys[:before], greys[before + W :] = greys[before], greys[before + W - 1]
-            _row_forth(words, greys, before, word[row], own, top, cap, step, given[row], pull, limit, weight[row], c[i], front[i])
+            _row_forth(words, greys, before, word[row], own, top, terms, given[row], weight[row], c[i], front[i])
         out, out2 = cost[y].reshape(W * CHUNK), cost[z].reshape(W * CHUNK)
         _rows_back(weight[y], inverse[y], c[0], front[0], ahead, out, weight[z], inverse[z], c[1], front[1], out2)
 
@@ -263,13 +264,13 @@ def supported(
     keep = i4(-(1 << int(chunks * CHUNK).bit_length()))
     cost = np.empty((H, W, CHUNK), np.uint16)
     scale = MOST / (CENSUS_STEPS * step + cap_levels + limit)  # of costs: as fine as whole numbers allow
-    cap, step, pull, limit = (f4(scale * a) for a in (cap_levels, step, pull, limit))
+    terms = tuple(f4(scale * a) for a in (cap_levels, step, pull, limit))
     best, other = np.full((H, W), FAR, np.int32), np.full((H, W), FAR, np.int32)
     below, above, last = (np.full((H, W), np.inf, np.float32) for _ in range(3))
     highest, blocks = low + count - 1, -(-W // CHUNK)
     for index in range(0, chunks * CHUNK, CHUNK):
         top = highest - index
-        of_row = (words, left_grey, other_words, right_grey, f4(scale), top, cap, step, given, pull, limit, across, across_worth, cost)
+        of_row = (words, left_grey, other_words, right_grey, f4(scale), top, terms, given, across, across_worth, cost)
         in_row_blocks(partial(_spread, _rows, of_row), H)
         for turn in (0, 1):
             of_column = (turn, down, down_worth, cost, top, index, keep, best, below, above, last, other)
