@@ -85,6 +85,8 @@ SUN = {"type": "directional", "name": "key"}
         ({**SUN, "attenuation": "none"}, ["attenuation belongs to point and spot lights"]),
         ({**SUN, "aim": [0, 0, 0]}, ["aim", "zero"]),
         ({**SUN, "aim": [0, 0, -1], "azimuth_deg": 3}, ["aim", "azimuth_deg", "both"]),
+        ({**SUN, "direction": [0, 0, -1]}, ["direction", "called aim"]),
+        ({**SPOT, "aim": [0, 0, -1]}, ["aim", "called direction"]),
         ({**SUN, "elevation_deg": 91}, ["elevation_deg", "91"]),
     ],
 )

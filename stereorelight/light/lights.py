@@ -242,6 +242,10 @@ def lights_from_dicts(tables: Sequence[Mapping[str, Any]]) -> tuple[Light, ...]:
     return tuple(lights)
 
 
+# What one kind of light calls by another name than its sisters do.
+ANOTHER_NAME = {("directional", "direction"): "aim", ("spot", "aim"): "direction", ("rect", "aim"): "direction"}
+
+
 def _light_from_dict(table: Mapping[str, Any], index: int) -> Light:
     if not isinstance(table, Mapping):
         raise ShotError(f"light number {index + 1} must be a table of keys, got {table!r}; begin each light with [[lights]]")
@@ -254,6 +258,9 @@ def _light_from_dict(table: Mapping[str, Any], index: int) -> Light:
     known = {f.name: f for f in fields(cls)}
     for key in table:
         if key not in known and key != "type":
+            own = ANOTHER_NAME.get((cls.kind, key))
+            if own:
+                raise ShotError(f"{label}: {key} of a {cls.kind} light is called {own}; rename it")
             homes = [kind for kind, other in LIGHTS.items() if key in {f.name for f in fields(other)}]
             if homes:
                 raise ShotError(f"{label}: {key} belongs to {' and '.join(homes)} lights, not to a {cls.kind} one; remove it, or change type")
