@@ -79,7 +79,6 @@ class PlateLighting:
         found: Float32 = np.maximum(E, self.level / 50).astype(np.float32)
         return found
 
-
     def moved(self, pose: npt.ArrayLike) -> PlateLighting:
         """The same light in another frame: `pose` (4, 4) takes points of this one to points of that one."""
         M = np.asarray(pose, np.float64)

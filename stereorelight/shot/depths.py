@@ -23,7 +23,8 @@ from stereorelight.passes import Frame
 from stereorelight.shot.truths import Stated, understood
 from stereorelight.surface.normals import Method, normals_and_sigma
 from stereorelight.surface.position import position_from_depth
-from stereorelight.surface.shading import Quality, refine_by_shading
+from stereorelight.surface.shading import Quality, judge_by_shading, refine_by_shading
+from stereorelight.surface.shading_trust import Judged, ShotMaterials
 
 FARTHEST_M = 1e5  # renderers write some huge number where there is nothing; no plate sees 100 km
 
@@ -165,25 +166,30 @@ def _check_scene_frame(path: Path, raw: RawPasses) -> None:
         )
 
 
-def shaded(surface: Frame, depth: Frame, plate: Float32, *, strength: float = 1.0, quality: Quality = "standard") -> tuple[Frame, dict[str, Any]]:
-    """`surface` of a `depth` with its Z_sigma, after the plate's own shading has had its say; and what it did, for a receipt.
-
-    Raises : PassError where the depth does not say how far it may be off.
-    """
+def _evidence(surface: Frame, depth: Frame) -> tuple[Camera, dict[str, Any]]:
     camera = surface.camera
     if camera is None or "Z_sigma" not in depth:
         raise PassError("shading weighs a depth by its own standard deviation: it needs the passes Z_sigma and N_sigma, as `depth` writes them")
-    found = refine_by_shading(
-        plate,
-        surface["Z"],
-        camera,
-        Z_sigma=depth["Z_sigma"],
-        N=surface["N"],
-        N_sigma=surface.passes.get("N_sigma"),
-        confidence=depth.passes.get("confidence"),
-        strength=strength,
-        quality=quality,
-    )
+    passes = {"Z_sigma": depth["Z_sigma"], "N": surface["N"], "N_sigma": surface.passes.get("N_sigma"), "confidence": depth.passes.get("confidence")}
+    return camera, passes
+
+
+def material_test(surface: Frame, depth: Frame, plate: Float32, *, strength: float = 1.0, quality: Quality = "standard") -> Judged:
+    """What a frame of a shot says of its materials; a shot's frames are `pooled`.  Raises as `shaded`."""
+    camera, passes = _evidence(surface, depth)
+    return judge_by_shading(plate, surface["Z"], camera, **passes, strength=strength, quality=quality)
+
+
+def shaded(
+    surface: Frame, depth: Frame, plate: Float32, *, strength: float = 1.0, quality: Quality = "standard", materials: ShotMaterials | None = None
+) -> tuple[Frame, dict[str, Any]]:
+    """`surface` of a `depth` with its Z_sigma, after the plate's own shading has had its say; and what it did, for a receipt.
+
+    materials : of the whole shot; None judges them by this frame alone.
+    Raises    : PassError where the depth does not say how far it may be off.
+    """
+    camera, passes = _evidence(surface, depth)
+    found = refine_by_shading(plate, surface["Z"], camera, **passes, strength=strength, quality=quality, materials=materials)
     passes = {"Z": found.Z, "P": position_from_depth(found.Z, camera), "N": found.N, "N_sigma": found.N_sigma}
     return replace(surface, passes={**surface.passes, **passes}), found.figures
 

@@ -101,10 +101,11 @@ def _centres(chroma: npt.NDArray[np.floating]) -> Float64:
     return np.array(centres).reshape(-1, 2)
 
 
-def materials(plate: Float32, joined: Bool) -> Labels:
-    """(H, W) int16: pixels alike in chromaticity and on one surface; -1 where too few are alike to say anything.
+def materials(plate: Float32, joined: Bool, colours: Float64 | None = None) -> tuple[Labels, Float64]:
+    """(H, W) int16: pixels alike in chromaticity and on one surface, -1 where too few are alike to say anything; (M, 2) what colour each has.
 
-    joined : (H, W), False on depth edges and unknown ground, which part the surfaces.
+    joined  : (H, W), False on depth edges and unknown ground, which part the surfaces.
+    colours : (K, 2) log chromaticities to tell apart, and nothing is of any other colour; None finds them in the plate.
     """
     h, w = joined.shape
     by = max(1, w // (2 * WORK_WIDTH))
@@ -113,17 +114,21 @@ def materials(plate: Float32, joined: Bool) -> Labels:
     chroma = log_chroma(ndimage.uniform_filter(small, (*2 * (max(1, QUIET_PX // by),), 1), mode="nearest"))
     whole = shrunk(joined, by) > 0.75
     labels = np.full((h, w), -1, np.int16)
+    none = np.zeros((0, 2))
     if whole.sum() < FEWEST:
-        return labels
+        return labels, none
     surface, _ = ndimage.label(whole)
     # Ground on an edge is of the surface beside it that is nearest.
     nearest = ndimage.distance_transform_edt(~whole, return_distances=False, return_indices=True)
     surface = surface[tuple(nearest)]
-    centres = _centres(chroma[whole])
+    centres = _centres(chroma[whole]) if colours is None else colours
     if len(centres) == 0:
-        return labels
-    kind = ((chroma[..., None, :] - centres) ** 2).sum(-1).argmin(-1)
-    both = surface.astype(np.int64) * len(centres) + kind
+        return labels, none
+    apart = ((chroma[..., None, :] - centres) ** 2).sum(-1)
+    both = surface.astype(np.int64) * len(centres) + apart.argmin(-1)
+    if colours is not None:
+        both[apart.min(-1) >= APART**2] = -1
+        whole &= both >= 0
     kinds, counts = np.unique(both[whole], return_counts=True)
     kept = kinds[counts >= max(SMALLEST_SHARE * whole.size, FEWEST)]
     kept = kept[np.argsort(-counts[np.isin(kinds, kept)], kind="stable")][:24]
@@ -132,7 +137,7 @@ def materials(plate: Float32, joined: Bool) -> Labels:
         small_labels[both == one] = k
     rows = np.minimum(np.arange(h) // by, small_labels.shape[0] - 1)
     columns = np.minimum(np.arange(w) // by, small_labels.shape[1] - 1)
-    return np.ascontiguousarray(small_labels[rows[:, None], columns])
+    return np.ascontiguousarray(small_labels[rows[:, None], columns]), centres[kept % len(centres)]
 
 
 def _bells(n: int, sigma: float) -> tuple[Float64, Float64]:
@@ -249,7 +254,7 @@ def plate_light(
     believed = believed * np.isfinite(n).all(axis=-1) * np.isfinite(p).all(axis=-1)
     p, n = np.nan_to_num(p, nan=0.0, posinf=0.0, neginf=0.0), np.nan_to_num(n, nan=0.0)
     if labels is None:
-        labels = materials(p, believed > 0)
+        labels, _ = materials(p, believed > 0)
     return light_of(labels, grey_log(p), n, believed, count=int(labels.max()) + 1, local_share=local_share)
 
 

@@ -35,7 +35,7 @@ class Level:
     v, variance   : -log Z as measured, and its variance.
     du, dv, turned: slopes of v by pixels as the given normals have them, on cells; the variance of their slopes by rays.
     colour, grey  : the plate, and the log of the mean of its channels.   usable : 1 where plate and depth may be used.
-    labels, count : material of each pixel, and how many materials there are at all.
+    labels, count : material of each pixel, and how many materials there are at all.   colours : (count, 2) log chromaticity of each.
     rays          : (6, H, W), see engine/shading.py.
     okx, oky, okc : 1 where a pixel is joined to its right, to its lower neighbour, where a whole cell is joined; else 0.
     broken        : pixels that hold a depth edge.
@@ -53,6 +53,7 @@ class Level:
     usable: Float32
     labels: Labels
     count: int
+    colours: Float64
     rays: Float32
     okx: Float32
     oky: Float32
@@ -194,8 +195,21 @@ def _slopes(N: Float32, N_sigma: Float32, sigma: Float32, focal: float, x: Float
     return where_sure(p, 0.0), where_sure(q, 0.0), where_sure(variance, 1e4)
 
 
-def levels_of(plate: Float32, v: Float32, sigma: Float32, N: Float32, N_sigma: Float32, usable: Bool, known: Bool, camera: Camera) -> list[Level]:
-    """Every size, finest first.  sigma: standard deviation of v; N_sigma: degrees; usable, known: where the plate, where Z may be used."""
+def levels_of(
+    plate: Float32,
+    v: Float32,
+    sigma: Float32,
+    N: Float32,
+    N_sigma: Float32,
+    usable: Bool,
+    known: Bool,
+    camera: Camera,
+    colours: Float64 | None = None,
+) -> list[Level]:
+    """Every size, finest first.
+
+    sigma : standard deviation of v; N_sigma: degrees.   usable, known : where the plate, where Z may be used.   colours : as `materials` takes them.
+    """
     rays = np.nan_to_num(ray_slopes(camera)).astype(np.float32)
     x, y = np.ascontiguousarray(rays[..., 0]), np.ascontiguousarray(rays[..., 1])
     scale, broken = 1, ~known
@@ -203,12 +217,13 @@ def levels_of(plate: Float32, v: Float32, sigma: Float32, N: Float32, N_sigma: F
     variance, use = (sigma * sigma).astype(np.float32), usable.astype(np.float32)
     colour = plate
     labels: Labels | None = None
+    own: Float64 = np.zeros((0, 2))
     levels: list[Level] = []
     while True:
         focal = camera.fx / scale
         okx, oky, okc = _links(v, np.sqrt(variance), focal, broken)
         if labels is None:
-            labels = materials(colour, ndimage.minimum_filter(okc, 3) > 0)
+            labels, own = materials(colour, ndimage.minimum_filter(okc, 3) > 0, colours)
         levels.append(
             Level(
                 scale=scale,
@@ -219,7 +234,8 @@ def levels_of(plate: Float32, v: Float32, sigma: Float32, N: Float32, N_sigma: F
                 colour=colour,
                 usable=use,
                 labels=labels,
-                count=int(labels.max()) + 1 if not levels else levels[0].count,
+                count=len(own),
+                colours=own,
                 rays=_cell_rays(x, y),
                 du=cells_of(p * _step(x, 1) + q * _step(y, 1)),
                 dv=cells_of(p * _step(x, 0) + q * _step(y, 0)),
