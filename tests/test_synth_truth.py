@@ -251,9 +251,7 @@ def test_rigs_stand_as_they_say() -> None:
     assert rig_named("hard", SIZE).mirrored == "right"
 
 
-@pytest.mark.parametrize(
-    ("kernel", "name", "source"), [(solids, "TEXTURE", texture), (raycast, "TEXTURE", texture), (raycast, "SOLIDS", solids)]
-)
+@pytest.mark.parametrize(("kernel", "name", "source"), [(solids, "TEXTURE", texture), (raycast, "TEXTURE", texture), (raycast, "SOLIDS", solids)])
 def test_the_cached_kernels_are_made_of_todays_sources(kernel: ModuleType, name: str, source: ModuleType) -> None:
     found = hashlib.sha256(Path(str(source.__file__)).read_bytes()).hexdigest()[:16]
     assert found == getattr(kernel, name), f'{source.__file__} has changed: set {name} = "{found}" in {kernel.__file__}'

@@ -19,6 +19,7 @@ from stereorelight.footage.preview import depth_range
 from stereorelight.interchange.rigs import files_of, read_rig, rig_to_dict
 from stereorelight.shot.job import FrameJob
 from stereorelight.shot.lighting import Lighting, lighting_of
+from stereorelight.shot.materials import MaterialsOfShot, spread_over
 from stereorelight.shot.mend import MendedRectification, Mends
 from stereorelight.shot.neighbours import Neighbours
 from stereorelight.shot.pairs import EYES, Pair, eyes_of_shot, pairs_of
@@ -26,8 +27,9 @@ from stereorelight.shot.plate_light import Reference
 from stereorelight.shot.receipt import Receipt, code_digest, digest, file_digest, versions
 from stereorelight.shot.repairs import Repairs
 from stereorelight.shot.schema import Shot, read_shot
-from stereorelight.shot.steps import STEPS, Step
+from stereorelight.shot.steps import STEPS, Step, colour_key, matcher_key
 from stereorelight.stereo.rectify import Rectification, rectification
+from stereorelight.surface.shading_trust import Judged
 
 Note = Callable[[dict[str, Any]], object]
 State = Literal["begins", "done", "stands"]
@@ -73,6 +75,25 @@ class Prepared:
         return Neighbours(self.shot, self.eyes, self.rigs.of, rig.left.fx * rig.baseline_m)
 
     @functools.cached_property
+    def materials(self) -> MaterialsOfShot | None:
+        """What shading knows of the whole shot; None where it has no say, and where each picture judges for itself.
+
+        The frames that judge do it each by itself: matched, not steadied, and without repairs, which costs a fifth and comes to the same.
+        """
+        if self.shot.tables.surface.shading == "off":
+            return None
+        tables, numbers = self.shot.tables, spread_over(self.shot, self.eyes)
+        settings = [tables.depth.model_dump(), tables.surface.model_dump(), tables.plates.match_colour, matcher_key(self.shot), colour_key(self.shot)]
+
+        def judge(pair: Pair) -> Judged:
+            return FrameJob(shot=self.shot, rectification=self.rigs.of(pair), pair=pair).judged()
+
+        def depends(pair: Pair) -> Any:
+            return [_rig_key(self, pair), settings]
+
+        return MaterialsOfShot(numbers, judge, depends=depends, path=self.shot.folder / "materials.json") if numbers else None
+
+    @functools.cached_property
     def whole(self) -> tuple[Pair, ...]:
         """Every pair of the shot, not only those that are run."""
         return self.pairs if self.pairs[0].number is None else pairs_of(eyes_of_shot(self.shot))
@@ -110,7 +131,10 @@ class Prepared:
 
         def made() -> Reference:
             # Made anew from its plates, whether its files are there or not: a part of the shot gives what the whole gives.
-            job = FrameJob(shot=self.shot, rectification=self.rigs.of(pair), pair=pair, repairs=self.repairs, near=self.near, lighting=self.lighting)
+            job = FrameJob(
+                shot=self.shot, rectification=self.rigs.of(pair), pair=pair, repairs=self.repairs, near=self.near, lighting=self.lighting,
+                materials=self.materials,
+            )  # fmt: skip
             job.recovered()
             job.made_surface()
             return Reference(number=pair.number, plate=job.plate, passes=job.lit_passes(), camera=job.posed_camera)
@@ -119,7 +143,8 @@ class Prepared:
             near = [[k, *digests, self.mends.values.get(other.name)] for k, (other, digests) in self.near.inputs_about(pair).items()]
             repaired = None if self.repairs is None else self.repairs.key(pair)
             files = [file_digest(self.lighting._path(name, pair.number)) for name in self.shot.setup.files_at(pair.number)]
-            return [pair.digest("left"), pair.digest("right"), near, repaired, self.mends.values.get(pair.name), files]
+            shaded = None if self.materials is None else self.materials.key
+            return [pair.digest("left"), pair.digest("right"), near, repaired, self.mends.values.get(pair.name), files, shaded]
 
         return made, key
 
@@ -217,7 +242,10 @@ def run_frame(
     noted : the preview range of run.json, {} where none is known; `note` is told when it is measured.
     """
     shot = ready.shot
-    job = FrameJob(shot=shot, rectification=ready.rigs.of(pair), pair=pair, repairs=ready.repairs, near=ready.near, lighting=ready.lighting)
+    job = FrameJob(
+        shot=shot, rectification=ready.rigs.of(pair), pair=pair, repairs=ready.repairs, near=ready.near, lighting=ready.lighting,
+        materials=ready.materials,
+    )  # fmt: skip
     receipt = Receipt(job.receipt_path, shot.folder)
     sources: dict[str, Any] = {"left": pair.digest("left"), "right": pair.digest("right"), "rig": _rig_key(ready, pair)}
     if about := ready.near.inputs_about(pair):

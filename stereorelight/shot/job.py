@@ -15,15 +15,17 @@ from stereorelight.camera import Camera
 from stereorelight.errors import PassError
 from stereorelight.footage.frames import read_frame, write_frame
 from stereorelight.passes import Frame
-from stereorelight.shot.depths import shaded, surface_of
+from stereorelight.shot.depths import material_test, shaded, surface_of
 from stereorelight.shot.lighting import Lighting
 from stereorelight.shot.lit import Lit
+from stereorelight.shot.materials import MaterialsOfShot
 from stereorelight.shot.neighbours import Neighbours, search_figures
 from stereorelight.shot.pairs import Pair, flip_word, read_upright, recover_pair
 from stereorelight.shot.repairs import Repairs
 from stereorelight.shot.schema import Shot
 from stereorelight.stereo.rectify import Rectification
 from stereorelight.stereo.repair import repaired
+from stereorelight.surface.shading_trust import Judged
 
 MATCH_NOISE_PX = 0.01  # what matched disparity is off by from pixel to pixel, after its own smoothing; 0.05 made relit faces too smooth
 
@@ -35,6 +37,7 @@ class FrameJob:
     preview_range_m : nearest and farthest distance of the depth previews, the same for the whole shot.
     lighting        : what lights it; the shot file's lights alone where None.
     near            : the frames about it, which steady its depth; None where it stands alone.
+    materials       : of the whole shot, for shading; None judges them by this frame alone.
     """
 
     shot: Shot
@@ -46,6 +49,7 @@ class FrameJob:
     repairs: Repairs | None = None
     near: Neighbours | None = None
     lighting: Lighting | None = None
+    materials: MaterialsOfShot | None = None
 
     def path(self, kind: str, suffix: str = "exr", *, what: str = "") -> Path:
         """NAME[.what][.frame].suffix in the folder of that kind."""
@@ -137,14 +141,33 @@ class FrameJob:
         """Z, confidence and flags, from their file."""
         return replace(read_frame(self.depth_path, colour=self.shot.colour), camera=self.camera)
 
+    @property
+    def shades(self) -> bool:
+        """Whether shading has a say in its normals."""
+        told = self.shot.tables.surface
+        return told.shading == "on" and told.method == "plane"
+
+    @property
+    def _shading(self) -> dict[str, Any]:
+        quality: Literal["standard", "fine"] = "fine" if self.shot.depth.quality == "fine" else "standard"
+        return {"strength": self.shot.tables.surface.shading_strength, "quality": quality}
+
+    def _fitted(self) -> Frame:
+        """Z, P and N as depth alone has them."""
+        noise = MATCH_NOISE_PX / (self.rectification.rig.left.fx * self.rectification.rig.baseline_m)
+        return surface_of(self.depth, method=self.shot.tables.surface.method, noise_per_m=noise)
+
+    def judged(self) -> Judged:
+        """What the frame, its depth found now, says of its materials.  Raises PlateError."""
+        self.recovered()
+        return material_test(self._fitted(), self.depth, self.plate, **self._shading)
+
     def made_surface(self) -> Frame:
         """Z, P and N, made now."""
-        noise = MATCH_NOISE_PX / (self.rectification.rig.left.fx * self.rectification.rig.baseline_m)
-        frame = surface_of(self.depth, method=self.shot.tables.surface.method, noise_per_m=noise)
-        told = self.shot.tables.surface
-        if told.shading == "on" and told.method == "plane":
-            quality: Literal["standard", "fine"] = "fine" if self.shot.depth.quality == "fine" else "standard"
-            frame, self.shading_figures = shaded(frame, self.depth, self.plate, strength=told.shading_strength, quality=quality)
+        frame = self._fitted()
+        if self.shades:
+            materials = None if self.materials is None else self.materials.found
+            frame, self.shading_figures = shaded(frame, self.depth, self.plate, **self._shading, materials=materials)
         frame = replace(frame, number=self.pair.number, metadata=self.words("passes"))
         self.__dict__["surface"] = frame
         return frame

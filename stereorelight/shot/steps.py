@@ -162,11 +162,9 @@ STEPS: tuple[Step, ...] = (
     Step(
         name="passes",
         after=("depth",),
-        rooms=("surface", "footage", "engine", "shot/job.py"),
-        settings=lambda shot: [
-            shot.tables.surface.model_dump(),
-            [colour_key(shot), shot.depth.quality] if shot.tables.surface.shading == "on" else None,
-        ],
+        rooms=("surface", "footage", "engine", "shot/job.py", "shot/materials.py"),
+        settings=lambda shot: [shot.tables.surface.model_dump(), shading_key(shot)],
+        inputs=lambda job: job.materials.key if job.shades and job.materials is not None else None,
         files=lambda job: [job.passes_path],
         make=_make_passes,
     ),

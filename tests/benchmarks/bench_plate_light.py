@@ -1,6 +1,6 @@
 """The light that is already there, in figures: direction, and a person moved into another light, with exact and recovered normals.
 
-    python tests/benchmarks/bench_plate_light.py"""
+python tests/benchmarks/bench_plate_light.py"""
 
 from __future__ import annotations
 
