@@ -34,7 +34,8 @@ NOWHERE = -32768
 NOISY = 3.2  # grey levels of noise from which matching is made stiffer with it
 HALF_SMALLEST_PX = 64  # of half a picture's side that is worth matching
 HALF_AGREES_PX = 1.5  # whole half-size pixels cannot agree better
-ALIKE = 0.3  # of the noise: neighbours that differ by less are alike to the census
+ALIKE = 0.25  # of the noise: neighbours that differ by less are alike to the census
+CLEAN_STEP, CALM_STEP = 2.0, 1.5  # cost of a step of the census; of calm plates less, where more of its answers are chance
 P1, P2 = 2 * BLOCK**2, 30 * BLOCK**2  # penalties of a step by one and of a jump, per channel: low for steps, since planes smooth later; high for
 # jumps, since adaptive support finds the outlines and wants one answer on a wall that repeats
 
@@ -166,6 +167,7 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
         search.count,
         given=_guide(matcher, proxy, calm, search) if guided else _left_px(matcher, calm, search),
         alike=max(1.0, ALIKE * noise),
+        step=CLEAN_STEP if calm is proxy and guided else CALM_STEP,
     )
     left = without_speckles(left, round(SUPPORT_SPECKLE_PX * float(np.clip(noise / CALM, 1, 3))))
     return Match(left=left, right=right, dense=everywhere(left), calm=calm.left)

@@ -22,6 +22,8 @@ Number = TypeVar("Number", np.float32, np.uint16)
 CALM = 2.0  # grey levels of noise that matching bears without a filter
 CALM_WINDOW, CALM_RADIUS = 7, 2.0  # px
 CALM_TONES = 4.6  # times the noise: what differs by more is an edge
+AGAIN_WINDOW, AGAIN_RADIUS = 5, 1.2  # px, once edges are known: small, since what is averaged away no longer tells disparities apart
+AGAIN_TONES = 0.5  # times the noise, of the grey that is calm already
 FLAT_MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 WHITE_QUANTILE = 0.99
 HEADROOM = 1.25  # white lies this much above that quantile
@@ -60,12 +62,19 @@ class Proxy:
         """The same with its grain taken out of the 8-bit pictures, edges kept, where there is more of it than matching bears.
 
         Only for what chooses between surfaces; sub-pixel work wants every pixel as it was, so the grey pictures stay.
+        Twice: a bilateral filter shows where edges are, and then the pixels as they were are averaged by what it shows, over less ground
+        (joint bilateral, Petschnigg et al. 2004, with itself: rolling guidance).
         """
         sigma = self.noise()
         if sigma < CALM:
             return self
-        left, right = (cv2.bilateralFilter(p, CALM_WINDOW, CALM_TONES * sigma, CALM_RADIUS) for p in (self.left, self.right))
-        return replace(self, left=left, right=right)
+
+        def calm(picture: UInt8) -> UInt8:
+            guide = grey_of(cv2.bilateralFilter(picture, CALM_WINDOW, CALM_TONES * sigma, CALM_RADIUS))
+            mean = cv2.ximgproc.jointBilateralFilter(guide, picture.astype(np.float32), AGAIN_WINDOW, AGAIN_TONES * sigma, AGAIN_RADIUS)
+            return np.clip(np.rint(mean), 0, 255).astype(np.uint8)
+
+        return replace(self, left=calm(self.left), right=calm(self.right))
 
     def noise(self) -> float:
         """Standard deviation of the noise of a channel, grey levels: the median of a mask that knows no ramps (Immerkaer 1996)."""
