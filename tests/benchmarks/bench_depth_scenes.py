@@ -43,6 +43,12 @@ def coded(linear: np.ndarray) -> np.ndarray:
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
+def grained(linear: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    """An 8-bit plate with grain of this share of full range on its gamma-coded channels, each its own."""
+    code = np.clip(linear, 0, 1) ** (1 / 2.2) + share * rng.standard_normal(linear.shape)
+    return coded((np.clip(code, 0, 1) ** 2.2).astype(np.float32))
+
+
 def rendered(scene: str, size: tuple[int, int], cache: Path | None) -> Pair:
     """Plates, Z, N, flags and the names of what stands at each pixel; from the cache where it holds them."""
     path = None if cache is None else cache / f"{scene}_{size[0]}x{size[1]}_pair.npz"
@@ -106,15 +112,11 @@ def robust() -> None:
     pair = motorcycle()
     rng = np.random.default_rng(3)
 
-    def grain(picture: np.ndarray) -> np.ndarray:
-        code = np.clip(picture, 0, 1) ** (1 / 2.2) + 0.02 * rng.standard_normal(picture.shape)
-        return coded((np.clip(code, 0, 1) ** 2.2).astype(np.float32))
-
     down = cv2.warpAffine(right, np.float32([[1, 0, 0], [0, 1, 0.3]]), right.shape[1::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     cases = {
         "clean": (left, right),
         "+0.7 stop and a cast": (left, coded(right * np.float32([1.75, 1.6, 1.4]))),
-        "2 % grain": (grain(left), grain(right)),
+        "2 % grain": (grained(left, 0.02, rng), grained(right, 0.02, rng)),
         "0.3 px of row error": (left, down),
     }
     base = 0.0
