@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereorelight.engine.bending import bend_energy, doubled, halved, plate_correction, slopes
+from stereorelight.engine.bending import bend_energy, plate_correction, slopes
+from stereorelight.engine.pyramid import SMALL, doubled, halved
 from stereorelight.threads import set_threads, usable_cores
 
 f4 = np.float32
@@ -27,6 +28,41 @@ def fitted(start: np.ndarray, known: np.ndarray, weight: np.ndarray, bend: float
 def test_a_plane_is_left_alone() -> None:
     plane = 20 + 0.3 * X - 0.2 * Y
     assert np.abs(plate_correction(plane, full(1e-3), full(0), full(0.01), cut=0.15)).max() < 2e-4
+
+
+@pytest.mark.parametrize("hw", [(11, 13), (90, 7), (3, 40)])
+def test_it_is_the_least_of_its_sum_of_squares(hw) -> None:
+    """Against the sum of squares written out and solved: weights and bends that change, edges, borders and corners."""
+    h, w = hw
+    rng = np.random.default_rng(4)
+    d = (5 + np.cumsum(rng.normal(0, 0.02, hw), axis=1) + np.where(np.arange(w) < w // 2, 0, 3)).astype(f4)
+    weight, bend, cut = rng.uniform(0.5, 2, hw).astype(f4), rng.uniform(0.5, 2, hw).astype(f4), 0.06
+    known = d + rng.normal(0, 0.3, hw)
+    rows, asked = [], []
+
+    def ask(coefficients: dict[tuple[int, int], float], value: float, strength: float) -> None:
+        row = np.zeros(hw)
+        for at, c in coefficients.items():
+            row[at] = c
+        rows.append(row.ravel() * strength)
+        asked.append(value * strength)
+
+    def bends(y: int, x: int, coefficients: dict[tuple[int, int], float], times: float = 1) -> None:
+        if abs(sum(c * float(d[at]) for at, c in coefficients.items())) < cut:
+            ask(coefficients, 0, np.sqrt(times) / bend[y, x])
+
+    for y in range(h):
+        for x in range(w):
+            ask({(y, x): 1}, known[y, x], np.sqrt(weight[y, x]))
+            if 0 < x < w - 1:
+                bends(y, x, {(y, x - 1): 1, (y, x): -2, (y, x + 1): 1})
+            if 0 < y < h - 1:
+                bends(y, x, {(y - 1, x): 1, (y, x): -2, (y + 1, x): 1})
+            if x < w - 1 and y < h - 1:
+                bends(y, x, {(y, x): 1, (y, x + 1): -1, (y + 1, x): -1, (y + 1, x + 1): 1}, times=2)
+    least = np.linalg.lstsq(np.array(rows), np.array(asked), rcond=None)[0].reshape(hw)
+    got = d + plate_correction(d, weight, (weight * (known - d)).astype(f4), bend, cut=cut, levels=1, steps=200)
+    assert np.abs(got - least).max() < 1e-4
 
 
 def test_noise_falls_as_the_closed_form_says() -> None:
@@ -85,12 +121,15 @@ def test_halved_and_doubled_keep_planes() -> None:
 
 def test_same_bits_whatever_the_threads() -> None:
     rng = np.random.default_rng(2)
-    d, pull = (rng.normal(0, 0.1, HW).astype(f4) for _ in range(2))
+    size = (403, 157)  # enough to be shared out
+    assert size[0] * size[1] > SMALL
+    d, pull = (rng.normal(0, 0.1, size).astype(f4) for _ in range(2))
+    weight, bend = np.ones(size, f4), np.full(size, 0.01, f4)
     both = []
     try:
         for threads in (1, 2):
             set_threads(threads)
-            both.append(plate_correction(d, full(1), pull, full(0.01), cut=0.5))
+            both.append(plate_correction(d, weight, pull, bend, cut=0.5))
     finally:
         set_threads(usable_cores())
     assert np.array_equal(*both)

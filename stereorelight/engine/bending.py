@@ -10,323 +10,239 @@ bits come whatever the number of threads."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Float32
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.fastmath import kernel
+from stereorelight.engine.pyramid import ROWS, carried_up, halved, in_blocks
 
 f4 = np.float32
-SMALL = 250_000  # pixels of a picture that is not worth sharing out to threads: a pass over it takes less than a millisecond
-ROWS = 40  # rows of a block
 LOOSER = 4  # how much larger a bend may be on a coarse grid before it counts as an edge: bends grow by 4 a level, steps do not
 
 
-def _in_blocks(run: Callable[[int, int], None], like: Float32) -> None:
-    if like.size <= SMALL:
-        run(0, like.shape[0])
-    else:
-        in_row_blocks(run, like.shape[0], block_rows=ROWS)
+_leaf = kernel(fastmath=False, noalias=True)  # a row: nothing that it writes overlaps anything else that it is given
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _bend_row(up, me, down, lx, ly, lxy, first, last, qx, qy, qxy):
+@_leaf
+def _bend_row(up, me, down, lx, ly, lxy, qx, qy, qxy):
+    """The bends of a row, each times its stiffness; the links are 0 where there is none."""
     W = me.size
-    qx[0], qx[W - 1], qxy[W - 1] = f4(0), f4(0), f4(0)
     for x in range(1, W - 1):
         qx[x] = lx[x] * (me[x - 1] - f4(2) * me[x] + me[x + 1])
-    for x in range(W):
-        qy[x] = f4(0) if first or last else ly[x] * (up[x] - f4(2) * me[x] + down[x])
-    for x in range(W - 1):
-        qxy[x] = f4(0) if last else f4(2) * lxy[x] * (me[x] - me[x + 1] - down[x] + down[x + 1])
+        qy[x] = ly[x] * (up[x] - f4(2) * me[x] + down[x])
+        qxy[x] = f4(2) * lxy[x] * (me[x] - me[x + 1] - down[x] + down[x + 1])
+    qx[0], qx[W - 1] = f4(0), f4(0)
+    for x in (0, W - 1):
+        qy[x] = ly[x] * (up[x] - f4(2) * me[x] + down[x])
+    qxy[0] = f4(2) * lxy[0] * (me[0] - me[min(1, W - 1)] - down[0] + down[min(1, W - 1)])
+    qxy[W - 1] = f4(0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _back_row(w, u, qx, above, qy, below, crossed, qxy, first, last, out):
+@_leaf
+def _back_row(w, u, qx, above, qy, below, crossed, qxy, out):
     """Row of the plate's force: the adjoint of the second differences, plus weight times u."""
     W = u.size
-    out[0] = w[0] * u[0] + qx[1] - f4(2) * qx[0]
-    out[W - 1] = w[W - 1] * u[W - 1] + qx[W - 2] - f4(2) * qx[W - 1]
     for x in range(1, W - 1):
-        out[x] = w[x] * u[x] + qx[x - 1] - f4(2) * qx[x] + qx[x + 1]
-    for x in range(W):
-        out[x] += qxy[x] - f4(2) * qy[x]
-    for x in range(1, W):
-        out[x] -= qxy[x - 1]
-    if not first:
-        for x in range(W):
-            out[x] += above[x] - crossed[x]
-        for x in range(1, W):
-            out[x] += crossed[x - 1]
-    if not last:
-        for x in range(W):
-            out[x] += below[x]
+        bent = qx[x - 1] - f4(2) * qx[x] + qx[x + 1] + (above[x] - f4(2) * qy[x] + below[x])
+        out[x] = w[x] * u[x] + bent + (qxy[x] - qxy[x - 1] - crossed[x] + crossed[x - 1])
+    out[0] = w[0] * u[0] - f4(2) * qx[0] + qx[min(1, W - 1)] + (above[0] - f4(2) * qy[0] + below[0]) + qxy[0] - crossed[0]
+    e, i = W - 1, max(W - 2, 0)
+    out[e] = w[e] * u[e] + qx[i] - f4(2) * qx[e] + (above[e] - f4(2) * qy[e] + below[e]) + (qxy[e] - qxy[i] - crossed[e] + crossed[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _dot_row(a, b):
-    """Sum of a b, eight sums at a time: one alone waits for itself at every pixel."""
-    n = a.size
-    s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = 0.0
-    whole = n - n % 8
-    for x in range(0, whole, 8):
-        s0 += np.float64(a[x] * b[x])
-        s1 += np.float64(a[x + 1] * b[x + 1])
-        s2 += np.float64(a[x + 2] * b[x + 2])
-        s3 += np.float64(a[x + 3] * b[x + 3])
-        s4 += np.float64(a[x + 4] * b[x + 4])
-        s5 += np.float64(a[x + 5] * b[x + 5])
-        s6 += np.float64(a[x + 6] * b[x + 6])
-        s7 += np.float64(a[x + 7] * b[x + 7])
-    for x in range(whole, n):
-        s0 += np.float64(a[x] * b[x])
-    return ((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7))
+@_leaf
+def _back(me, w, u, ring, nothing, out):
+    """Row `me` of the plate's force and weight times u; `ring` (3, 3, W) holds the bends of the rows about it by row modulo 3."""
+    H = w.shape[0]
+    i, j, k = (me + 2) % 3, me % 3, (me + 1) % 3
+    above, crossed = (ring[1, i], ring[2, i]) if me > 0 else (nothing, nothing)
+    below = ring[1, k] if me < H - 1 else nothing
+    _back_row(w[me], u, ring[0, j], above, ring[1, j], below, crossed, ring[2, j], out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _force(begin, end, w, u, lx, ly, lxy, out, dots):
-    """weight u plus the plate's force on u: bends of a few rows at a time, and what they do to the rows between."""
-    H, W = u.shape
-    qx, qy, qxy = np.zeros((3, W), np.float32), np.zeros((3, W), np.float32), np.zeros((3, W), np.float32)
-    for y in range(max(begin - 1, 0), min(end, H - 1) + 1):
-        _bend_row(u[max(y - 1, 0)], u[y], u[min(y + 1, H - 1)], lx[y], ly[y], lxy[y], y == 0, y == H - 1, qx[y % 3], qy[y % 3], qxy[y % 3])
-        me = y - 1  # its bends, and those of the rows above and below, are known
-        if begin <= me < end:
-            up = max(me - 1, 0) % 3
-            _back_row(w[me], u[me], qx[me % 3], qy[up], qy[me % 3], qy[y % 3], qxy[up], qxy[me % 3], me == 0, False, out[me])
-            dots[me] = _dot_row(u[me], out[me])
-    if end == H:
-        me, up = H - 1, max(H - 2, 0) % 3
-        _back_row(w[me], u[me], qx[me % 3], qy[up], qy[me % 3], qy[me % 3], qxy[up], qxy[me % 3], me == 0, True, out[me])
-        dots[me] = _dot_row(u[me], out[me])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _add_row(alpha, p, u):
-    for x in range(p.size):
-        u[x] += alpha * p[x]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _scale_row(inverse, r, z):
+@_leaf
+def _direction_row(inverse, r, beta, before, out):
     for x in range(r.size):
-        z[x] = inverse[x] * r[x]
+        out[x] = inverse[x] * r[x] + beta * before[x]
+
+
+@_leaf
+def _product_row(a, b, total):
+    for x in range(a.size):
+        total[x] += a[x] * b[x]
+
+
+@_leaf
+def _sum(total):
+    s = 0.0
+    for x in range(total.size):
+        s += np.float64(total[x])
+    return s
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _step(begin, end, alpha, p, ap, inverse, u, r, z, dots):
-    # One loop of six arrays does not become vectors: too many of them might overlap.
+def _push(begin, end, beta, inverse, r, before, w, lx, ly, lxy, p, force, dots):
+    """The next direction, p = inverse r + beta before, what it meets, weight p plus the plate's force on p, and their product.
+
+    A few rows at a time: the direction, its bends, and what they do to the row between.
+    """
+    H, W = r.shape
+    rows, ring, nothing = np.empty((4, W), np.float32), np.empty((3, 3, W), np.float32), np.zeros(W, np.float32)
+    total = np.zeros(W, np.float32)
+    known = max(begin - 2, 0)  # rows of the direction before this one are known
+    for y in range(max(begin - 1, 0), min(end, H - 1) + 1):
+        while known <= min(y + 1, H - 1):
+            _direction_row(inverse[known], r[known], beta, before[known], rows[known % 4])
+            if begin <= known < end:
+                p[known] = rows[known % 4]
+            known += 1
+        up, down, k = max(y - 1, 0) % 4, min(y + 1, H - 1) % 4, y % 3
+        _bend_row(rows[up], rows[y % 4], rows[down], lx[y], ly[y], lxy[y], ring[0, k], ring[1, k], ring[2, k])
+        me = y - 1
+        if begin <= me < end:
+            _back(me, w, rows[me % 4], ring, nothing, force[me])
+            _product_row(rows[me % 4], force[me], total)
+    if end == H:
+        _back(H - 1, w, rows[(H - 1) % 4], ring, nothing, force[H - 1])
+        _product_row(rows[(H - 1) % 4], force[H - 1], total)
+    dots[begin // ROWS] = _sum(total)
+
+
+@_leaf
+def _sum_row(a, b, out):
+    for x in range(a.size):
+        out[x] = a[x] + b[x]
+
+
+@_leaf
+def _left_row(pull, force, inverse, r, total):
+    for x in range(r.size):
+        r[x] = pull[x] - force[x]
+        total[x] += inverse[x] * r[x] * r[x]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _begin(begin, end, d, u, pull, w, lx, ly, lxy, inverse, r, dots):
+    """What is left to do: r = pull - weight u - the plate's force on d + u; and the sum of inverse r r."""
+    H, W = r.shape
+    rows, ring, nothing = np.empty((4, W), np.float32), np.empty((3, 3, W), np.float32), np.zeros(W, np.float32)
+    force, total = np.empty(W, np.float32), np.zeros(W, np.float32)
+    known = max(begin - 2, 0)
+    for y in range(max(begin - 1, 0), min(end, H - 1) + 1):
+        while known <= min(y + 1, H - 1):
+            _sum_row(d[known], u[known], rows[known % 4])
+            known += 1
+        up, down, k = max(y - 1, 0) % 4, min(y + 1, H - 1) % 4, y % 3
+        _bend_row(rows[up], rows[y % 4], rows[down], lx[y], ly[y], lxy[y], ring[0, k], ring[1, k], ring[2, k])
+        me = y - 1
+        if begin <= me < end:
+            _back(me, w, u[me], ring, nothing, force)
+            _left_row(pull[me], force, inverse[me], r[me], total)
+    if end == H:
+        _back(H - 1, w, u[H - 1], ring, nothing, force)
+        _left_row(pull[H - 1], force, inverse[H - 1], r[H - 1], total)
+    dots[begin // ROWS] = _sum(total)
+
+
+@_leaf
+def _step_row(alpha, p, force, inverse, u, r, total):
+    for x in range(r.size):
+        u[x] += alpha * p[x]
+        r[x] -= alpha * force[x]
+        total[x] += inverse[x] * r[x] * r[x]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _step(begin, end, alpha, p, force, inverse, u, r, dots):
+    total = np.zeros(r.shape[1], np.float32)
     for y in range(begin, end):
-        _add_row(alpha, p[y], u[y])
-        _add_row(-alpha, ap[y], r[y])
-        _scale_row(inverse[y], r[y], z[y])
-        dots[y] = _dot_row(r[y], z[y])
+        _step_row(alpha, p[y], force[y], inverse[y], u[y], r[y], total)
+    dots[begin // ROWS] = _sum(total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _turn_row(beta, z, p):
-    for x in range(p.size):
-        p[x] = z[x] + beta * p[x]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _turn(begin, end, beta, z, p):
-    for y in range(begin, end):
-        _turn_row(beta, z[y], p[y])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _link_row(up, me, down, stiff, cut, first, last, lx, ly, lxy):
+@_leaf
+def _link_row(up, me, down, stiff, cut, across, along, lx, ly, lxy):
+    """Where bends bind; `across`, `along` : 0 on rows that have no bend across them (the first and the last), no twist (the last)."""
     W = me.size
-    lx[0], lx[W - 1], lxy[W - 1] = f4(0), f4(0), f4(0)
     for x in range(1, W - 1):
         lx[x] = stiff[x] if abs(me[x - 1] - f4(2) * me[x] + me[x + 1]) < cut else f4(0)
+    lx[0], lx[W - 1] = f4(0), f4(0)
     for x in range(W):
-        ly[x] = f4(0) if first or last or not abs(up[x] - f4(2) * me[x] + down[x]) < cut else stiff[x]
+        ly[x] = across * stiff[x] if abs(up[x] - f4(2) * me[x] + down[x]) < cut else f4(0)
     for x in range(W - 1):
-        lxy[x] = f4(0) if last or not abs(me[x] - me[x + 1] - down[x] + down[x + 1]) < cut else stiff[x]
+        lxy[x] = along * stiff[x] if abs(me[x] - me[x + 1] - down[x] + down[x + 1]) < cut else f4(0)
+    lxy[W - 1] = f4(0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _links(begin, end, d, stiff, cut, lx, ly, lxy):
     H = d.shape[0]
     for y in range(begin, end):
-        _link_row(d[max(y - 1, 0)], d[y], d[min(y + 1, H - 1)], stiff[y], cut, y == 0, y == H - 1, lx[y], ly[y], lxy[y])
+        across, along = f4(0 < y < H - 1), f4(y < H - 1)
+        _link_row(d[max(y - 1, 0)], d[y], d[min(y + 1, H - 1)], stiff[y], cut, across, along, lx[y], ly[y], lxy[y])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _diagonal_row(w, lx, above, ly, below, crossed, lxy, first, last, out):
+@_leaf
+def _diagonal_row(w, lx, above, ly, below, crossed, lxy, out):
     W = w.size
-    for x in range(W):
-        out[x] = w[x] + f4(4) * lx[x] + f4(4) * ly[x] + f4(2) * lxy[x] + f4(1e-9)
-    for x in range(1, W):
-        out[x] += lx[x - 1] + f4(2) * lxy[x - 1]
-    for x in range(W - 1):
-        out[x] += lx[x + 1]
-    if not first:
-        for x in range(W):
-            out[x] += above[x] + f4(2) * crossed[x]
-        for x in range(1, W):
-            out[x] += f4(2) * crossed[x - 1]
-    if not last:
-        for x in range(W):
-            out[x] += below[x]
-    for x in range(W):
-        out[x] = f4(1) / out[x]
+    for x in range(1, W - 1):
+        along, across = f4(4) * lx[x] + lx[x - 1] + lx[x + 1], f4(4) * ly[x] + above[x] + below[x]
+        out[x] = f4(1) / (w[x] + along + across + f4(2) * (lxy[x] + lxy[x - 1] + crossed[x] + crossed[x - 1]) + f4(1e-9))
+    for x, i in ((0, min(1, W - 1)), (W - 1, max(W - 2, 0))):
+        twist = lxy[0] + crossed[0] if x == 0 else lxy[i] + crossed[i]
+        out[x] = f4(1) / (w[x] + lx[i] + f4(4) * ly[x] + above[x] + below[x] + f4(2) * twist + f4(1e-9))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _diagonal(begin, end, w, lx, ly, lxy, out):
-    H = w.shape[0]
+    H, W = w.shape
+    nothing = np.zeros(W, np.float32)
     for y in range(begin, end):
-        up, down = max(y - 1, 0), min(y + 1, H - 1)
-        _diagonal_row(w[y], lx[y], ly[up], ly[y], ly[down], lxy[up], lxy[y], y == 0, y == H - 1, out[y])
+        above, crossed = (ly[y - 1], lxy[y - 1]) if y > 0 else (nothing, nothing)
+        _diagonal_row(w[y], lx[y], above, ly[y], ly[y + 1] if y < H - 1 else nothing, crossed, lxy[y], out[y])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _halve_row(a, b, times, lean, out):
-    W = a.size
-    for x in range(W // 2):
-        out[x] = times * (a[2 * x] + a[2 * x + 1] + b[2 * x] + b[2 * x + 1])
-    if W % 2:
-        end, inner = a[W - 1] + b[W - 1], a[max(W - 2, 0)] + b[max(W - 2, 0)]
-        out[W // 2] = times * (f4(2) * end + lean * (end - inner))
+def _solved(d: Float32, weight: Float32, pull: Float32, stiff: Float32, u: Float32, *, cut: float, steps: int) -> Float32:
+    """So many steps of conjugate gradients towards (weight + plate) u = pull - plate d; `u` is where to start, and is overwritten."""
+    links = tuple(np.empty_like(d) for _ in range(3))
+    inverse, r, p, before, force = (np.empty_like(d) for _ in range(5))
+    dots = np.zeros(-(-d.shape[0] // ROWS), np.float64)
+    in_blocks(lambda first, end: _links(first, end, d, stiff, f4(cut), *links), d)
+    in_blocks(lambda first, end: _diagonal(first, end, weight, *links, inverse), d)
+    in_blocks(lambda first, end: _begin(first, end, d, u, pull, weight, *links, inverse, r, dots), d)
+    left, beta = float(dots.sum()), f4(0)
+    before[:] = 0
+    for _ in range(steps):
+        if not left > 0:
+            break
+        in_blocks(partial(_spread, _push, (beta, inverse, r, before, weight, *links, p, force, dots)), d)
+        met = float(dots.sum())
+        if not met > 0:
+            break
+        in_blocks(partial(_spread, _step, (f4(left / met), p, force, inverse, u, r, dots)), d)
+        after = float(dots.sum())
+        beta, left = f4(after / left), after
+        before, p = p, before
+    return u
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _halve(begin, end, a, times, lean, out):
-    H, W = a.shape
-    beyond = np.empty(W, np.float32)
-    for y in range(begin, end):
-        if 2 * y + 1 < H:
-            _halve_row(a[2 * y], a[2 * y + 1], times, lean, out[y])
-        else:
-            for x in range(W):
-                beyond[x] = a[H - 1, x] + lean * (a[H - 1, x] - a[max(H - 2, 0), x])
-            _halve_row(a[H - 1], beyond, times, lean, out[y])
+def _spread(run: Any, given: tuple[Any, ...], first: int, end: int) -> None:
+    run(first, end, *given)
 
 
-def halved(a: Float32, *, times: float = 0.25, surface: bool = False) -> Float32:
-    """(H, W) at half the size, rounded up: the four pixels' sum times `times`.
-
-    surface : an odd last row or column goes on as it leans; else it counts twice.
-    """
-    out = np.empty(((a.shape[0] + 1) // 2, (a.shape[1] + 1) // 2), np.float32)
-    _in_blocks(lambda begin, end: _halve(begin, end, a, f4(times), f4(surface), out), out)
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _double_row(near, far, own, other, lean, out):
-    """A row between two coarse rows, `own` of the nearer and `other` of the farther; beyond the ends as the row leans."""
-    W, n = near.size, out.size
-    for x in range(W):
-        me = own * near[x] + other * far[x]
-        inner = own * near[min(1, W - 1)] + other * far[min(1, W - 1)]
-        left = own * near[x - 1] + other * far[x - 1] if x > 0 else me + lean * (me - inner)
-        out[2 * x] = f4(0.75) * me + f4(0.25) * left
-        if 2 * x + 1 < n:
-            inner = own * near[max(W - 2, 0)] + other * far[max(W - 2, 0)]
-            right = own * near[x + 1] + other * far[x + 1] if x < W - 1 else me + lean * (me - inner)
-            out[2 * x + 1] = f4(0.75) * me + f4(0.25) * right
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _double(begin, end, a, lean, out):
-    h = a.shape[0]
-    for y in range(begin, end):
-        near = y // 2
-        far = near + 1 if y % 2 else near - 1
-        if 0 <= far < h:
-            _double_row(a[near], a[far], f4(0.75), f4(0.25), lean, out[y])
-        else:  # beyond the ends: 1.25 of the last row less 0.25 of the one before it
-            inner = min(max(2 * near - far, 0), h - 1)
-            _double_row(a[near], a[inner], f4(1) + f4(0.25) * lean, f4(-0.25) * lean, lean, out[y])
-
-
-def doubled(a: Float32, shape: tuple[int, int], *, surface: bool = False) -> Float32:
-    """The inverse of `halved`, linear between the cells' centres; beyond the outer ones constant, or a `surface` as it leans."""
-    out = np.empty(shape, np.float32)
-    _in_blocks(lambda begin, end: _double(begin, end, a, f4(surface), out), out)
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _start_row(surface, correction, d, apart, out):
-    for x in range(d.size):
-        smooth = surface[x] - d[x]
-        out[x] = smooth if abs(smooth - correction[x]) < apart else correction[x]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _start(begin, end, surface, correction, d, apart, out):
-    for y in range(begin, end):
-        _start_row(surface[y], correction[y], d[y], apart, out[y])
-
-
-def _finer(coarse: Float32, correction: Float32, d: Float32, apart: float) -> Float32:
-    """Where to start on a finer grid: the coarse surface itself where it is this pixel's surface, else its correction."""
-    out = np.empty_like(d)
-    surface, moved = doubled(coarse + correction, d.shape, surface=True), doubled(correction, d.shape)
-    _in_blocks(lambda begin, end: _start(begin, end, surface, moved, d, f4(apart), out), d)
-    return out
-
-
-class _Plate:
-    """The linear system of one level: weight and stiffness about a disparity."""
-
-    def __init__(self, d: Float32, weight: Float32, stiff: Float32, cut: float) -> None:
-        self.like = d
-        self.weight = weight
-        self.links = tuple(np.empty_like(d) for _ in range(3))
-        self.dots = np.empty(d.shape[0], np.float64)
-        _in_blocks(lambda begin, end: _links(begin, end, d, stiff, f4(cut), *self.links), self.like)
-
-    def force(self, weight: Float32, u: Float32, out: Float32) -> float:
-        """weight u + plate u into `out`; returns u . out."""
-        _in_blocks(lambda begin, end: _force(begin, end, weight, u, *self.links, out, self.dots), self.like)
-        return float(self.dots.sum())
-
-    def _advance(self, alpha: np.float32, vectors: tuple[Float32, ...], begin: int, end: int) -> None:
-        _step(begin, end, alpha, *vectors, self.dots)
-
-    def _turn(self, beta: np.float32, z: Float32, p: Float32, begin: int, end: int) -> None:
-        _turn(begin, end, beta, z, p)
-
-    def solve(self, b: Float32, u: Float32, steps: int) -> Float32:
-        """So many steps of conjugate gradients towards (weight + plate) u = b; `u` is overwritten."""
-        inverse, ap, z = np.empty_like(u), np.empty_like(u), np.empty_like(u)
-        _in_blocks(lambda begin, end: _diagonal(begin, end, self.weight, *self.links, inverse), self.like)
-        self.force(self.weight, u, ap)
-        r = b - ap
-        z = inverse * r
-        p = z.copy()
-        vectors = (p, ap, inverse, u, r, z)
-        _in_blocks(partial(self._advance, f4(0), vectors), self.like)
-        rz = float(self.dots.sum())
-        for _ in range(steps):
-            if not rz > 0:
-                break
-            pap = self.force(self.weight, p, ap)
-            if not pap > 0:
-                break
-            alpha = f4(rz / pap)
-            _in_blocks(partial(self._advance, alpha, vectors), self.like)
-            after = float(self.dots.sum())
-            beta, rz = f4(after / rz), after
-            _in_blocks(partial(self._turn, beta, z, p), self.like)
-        return u
-
-
-def plate_correction(d: Float32, weight: Float32, pull: Float32, bend: Float32, *, cut: float, levels: int = 5, steps: int = 10) -> Float32:
+def plate_correction(
+    d: Float32, weight: Float32, pull: Float32, bend: Float32, *, cut: float, levels: int = 5, steps: int = 10, finest: int = 0
+) -> Float32:
     """What to add to `d` so that it is the smoothest surface that agrees with the evidence; (H, W) float32 px.
 
     d      : (H, W) px, finite.   weight : (H, W) > 0, 1/px^2.   pull : (H, W), weight times (what is known - d).
     bend   : (H, W) > 0, expected second difference, px.   cut : second difference that is an edge, px.
-    levels : of the pyramid.      steps  : of conjugate gradients at each.
+    levels : of the pyramid.      steps  : of conjugate gradients at each.   finest : the last level that is solved, 0 the full size; what it
+             found is carried on to the full size as it is, a third of the time at 1.
     """
     stiff: Float32 = np.reciprocal(bend * bend)
     pyramid = [(d, weight, pull, stiff)]
@@ -336,16 +252,17 @@ def plate_correction(d: Float32, weight: Float32, pull: Float32, bend: Float32, 
             break
         # A coarse pixel is four fine ones whose bends are four times larger: weight x 4, stiffness x 4 / 16.
         pyramid.append((halved(d, surface=True), halved(weight, times=1.0), halved(pull, times=1.0), halved(stiff, times=0.0625)))
-    u: Float32 | None = None
-    coarse = d
+    finest = min(finest, len(pyramid) - 1)
+    coarse = pyramid[-1][0]
+    u = np.zeros_like(coarse)
     for level in range(len(pyramid) - 1, -1, -1):
         d, weight, pull, stiff = pyramid[level]
-        plate = _Plate(d, weight, stiff, cut * min(2**level, LOOSER))
-        b = np.empty_like(d)
-        plate.force(np.zeros_like(d), d, b)
-        u = plate.solve(pull - b, np.zeros_like(d) if u is None else _finer(coarse, u, d, cut), steps)
+        if level < finest:
+            u, coarse = carried_up(coarse, u, d, cut), d
+            continue
+        start = u if d is coarse else carried_up(coarse, u, d, cut)
+        u = _solved(d, weight, pull, stiff, start, cut=cut * min(2**level, LOOSER), steps=steps)
         coarse = d
-    assert u is not None
     return u
 
 
@@ -374,7 +291,7 @@ def _energy(begin, end, d, cut, floor, logs, counts):
 def bend_energy(d: Float32, *, cut: float, floor: float = 1e-10) -> tuple[Float32, Float32]:
     """Logarithm of d_xx^2 + 2 d_xy^2 + d_yy^2 per pixel (H, W), px^2, and 1 where it is known: not at edges, where it is 0 and 0."""
     logs, counts = np.empty_like(d), np.empty_like(d)
-    _in_blocks(lambda begin, end: _energy(begin, end, d, f4(cut), f4(floor), logs, counts), d)
+    in_blocks(lambda begin, end: _energy(begin, end, d, f4(cut), f4(floor), logs, counts), d)
     return logs, counts
 
 
@@ -405,5 +322,5 @@ def _slopes(begin, end, d, cut, out_x, out_y):
 def slopes(d: Float32, *, cut: float) -> tuple[Float32, Float32]:
     """d/dx and d/dy (H, W): the mean of the differences on either side, or the flatter one where they differ by `cut`, an edge."""
     out_x, out_y = np.empty_like(d), np.empty_like(d)
-    _in_blocks(lambda begin, end: _slopes(begin, end, d, f4(cut), out_x, out_y), d)
+    in_blocks(lambda begin, end: _slopes(begin, end, d, f4(cut), out_x, out_y), d)
     return out_x, out_y

@@ -16,10 +16,11 @@ import cv2
 import numpy as np
 
 from stereorelight.arrays import Bool, Float32, UInt8
-from stereorelight.engine.bending import bend_energy, doubled, halved, plate_correction, slopes
+from stereorelight.engine.bending import bend_energy, plate_correction, slopes
 from stereorelight.engine.edges import joined_to_sides, outlined, weighed_sides
 from stereorelight.engine.occlusion import background, unseen
 from stereorelight.engine.photometric import photometric_evidence, row_splines, spline_residual
+from stereorelight.engine.pyramid import doubled, halved
 from stereorelight.engine.refine import blended, robust_planes
 from stereorelight.stereo.proxy import Proxy
 
@@ -62,16 +63,19 @@ class Effort:
 
     passes : of the first plane fit.   rounds : of looking at the pictures again from the better surface.
     steps  : of the solver on each level of a round.
+    finest : the level that rounds before the last stop at, 0 the full size, 1 half of it: they only bring the surface near enough for
+             the last to look at the pictures from.
     """
 
     passes: int
     rounds: int
     steps: int
+    finest: int = 0
 
 
 EFFORTS = {
     "draft": Effort(passes=1, rounds=1, steps=5),
-    "standard": Effort(passes=1, rounds=3, steps=8),
+    "standard": Effort(passes=1, rounds=3, steps=8, finest=1),
     "fine": Effort(passes=2, rounds=4, steps=14),
 }
 JUMP_PX = 1.5  # a step between neighbours that no surface worth lighting makes
@@ -154,7 +158,7 @@ class Surface:
         return _grown(sigma, self.disparity.shape), _grown(slope, self.disparity.shape)
 
 
-def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, rounds: int, steps: int) -> Surface:
+def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, effort: Effort) -> Surface:
     """The smoothest surface near `disparity` that makes the two pictures agree.
 
     trust : (H, W) 0..1, weighs the evidence; nothing is asked of the right eye where it is `UNSEEN_TRUST` or less.
@@ -163,7 +167,7 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, rou
     d = disparity
     bend: Float32 | None = None
     prior = np.where(trust <= UNSEEN_TRUST, np.float32(UNSEEN_PRIOR), np.float32(PRIOR))
-    for _ in range(rounds):
+    for k in range(effort.rounds):
         residual, rate = spline_residual(proxy.left_grey, left_spline, right_spline, d)
         residual -= cv2.blur(residual, LOCAL)
         rate -= cv2.blur(rate, LOCAL)
@@ -176,7 +180,8 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, rou
         pull += prior * (disparity - d)
         mean = _mean_weight(weight)
         bend = np.full_like(mean, BEND) if bend is None else expected_bend(d, mean, bend)
-        moved = plate_correction(d, weight, pull, _grown(bend, d.shape), cut=CUT_PX, levels=LEVELS, steps=steps)
+        finest = effort.finest if k < effort.rounds - 1 else 0
+        moved = plate_correction(d, weight, pull, _grown(bend, d.shape), cut=CUT_PX, levels=LEVELS, steps=effort.steps, finest=finest)
         d = d + np.clip(moved, -1, 1)
     assert bend is not None
     return Surface(disparity=d, weight=mean, bend=bend)
@@ -277,7 +282,7 @@ def refine(
         filled = blended(blended(planes, tau_px=tau_px), tau_px=tau_px)[0]
     if ramps:
         filled = sided(filled, proxy)
-    surface = photometric_surface(proxy, filled, trust, rounds=effort.rounds, steps=effort.steps)
+    surface = photometric_surface(proxy, filled, trust, effort=effort)
     disparity = surface.disparity
     slope_x, slope_y = slopes(disparity, cut=CUT_PX)
     sigma, slope_sigma = surface.sigma()
