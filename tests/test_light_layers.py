@@ -17,7 +17,7 @@ from numba import njit
 
 from stereorelight import comp
 from stereorelight.camera import Camera
-from stereorelight.engine import area_rows, fastmath, light_rows, rows
+from stereorelight.engine import area_rows, ball_rows, fastmath, light_rows, lobe_rows, rows
 from stereorelight.engine import light as engine
 from stereorelight.errors import PassError, ShotError
 from stereorelight.light.lights import DirectionalLight, Light, PointLight, SpotLight
@@ -392,6 +392,10 @@ def test_the_cached_kernels_are_those_of_todays_files() -> None:
         (fastmath, "FASTMATH", area_rows),
         (light_rows, "LEAVES", engine),
         (area_rows, "AREA_LEAVES", engine),
+        (fastmath, "FASTMATH", lobe_rows),
+        (lobe_rows, "LOBES", ball_rows),
+        (lobe_rows, "LOBE_LEAVES", engine),
+        (ball_rows, "BALL_LEAVES", engine),
     )
     for module, name, holder in pairs:
         found = hashlib.sha256(Path(module.__file__).read_text(encoding="utf-8").encode()).hexdigest()[:16]

@@ -4,7 +4,7 @@ Rows are float32 of whole vectors.  Frame: scene frame of the camera, metres.  `
 would read, 0 where the light does not reach the surface's front; `tx2, ty2` are the squared tangents of half the light's
 half-angle in two directions, 0 for a point.
 Sources: sphere over a horizon: Snyder, Area light sources for real-time graphics (1996); rectangle: Lambert's edge integral;
-representative points: Karis, Real Shading in Unreal Engine 4 (2013), here with the energy of the lobe over the light's disc
+representative points of GGX: Karis, Real Shading in Unreal Engine 4 (2013), here with the energy of the lobe over the light's disc
 in closed form; GGX: Walter et al. (2007) with height-correlated Smith (Heitz 2014)."""
 
 from __future__ import annotations
@@ -71,15 +71,14 @@ def towards(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, lit, a
 
 
 @kernel(noalias=True)
-def sphere(n, lx, ly, lz, radius, px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax, ay, az, e, front, t2):
-    """A ball of light: the exact form factor, cut at the horizon, and the point of it nearest to the mirrored view."""
+def sphere(n, lx, ly, lz, radius, px, py, pz, nx, ny, nz, lit, e):
+    """A ball of light: the exact form factor, cut at the horizon."""
     radius2 = radius * radius
     for i in range(n):
         a = lx - px[i]
         b = ly - py[i]
         c = lz - pz[i]
         d2 = a * a + b * b + c * c
-        inside = d2 <= radius2
         r = f4(1) / math.sqrt(d2 if d2 > f4(1e-12) else f4(1e-12))
         far2 = d2 if d2 > radius2 else radius2
         far2 = far2 if far2 > _NEAREST2 else _NEAREST2
@@ -105,9 +104,24 @@ def sphere(n, lx, ly, lz, radius, px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax, a
         rest = (f4(0.5) * _PI - (s - over)) / sin2 - x * w if steep else t - over / sin2
         g = (cos * angle_of_chord(f4(2) - f4(2) * y) + rest) * _PER_PI
         g = g if g > f4(0) else f4(0)
-        strength = lit[i] / far2
-        e[i] = g * strength
+        e[i] = g * (lit[i] / far2)
 
+
+@kernel(noalias=True)
+def sphere_point(n, lx, ly, lz, radius, px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax, ay, az, front, t2):
+    """For GGX: the point of a ball of light that is nearest to the mirrored view."""
+    radius2 = radius * radius
+    for i in range(n):
+        a = lx - px[i]
+        b = ly - py[i]
+        c = lz - pz[i]
+        d2 = a * a + b * b + c * c
+        inside = d2 <= radius2
+        far2 = d2 if d2 > radius2 else radius2
+        far2 = far2 if far2 > _NEAREST2 else _NEAREST2
+        sin2 = radius2 / far2
+        sin2 = sin2 if sin2 > f4(1e-12) else f4(1e-12)
+        sin2 = sin2 if sin2 < f4(1) else f4(1)
         nv = f4(2) * (nx[i] * vx[i] + ny[i] * vy[i] + nz[i] * vz[i])
         rx = nv * nx[i] - vx[i]
         ry = nv * ny[i] - vy[i]
@@ -127,7 +141,7 @@ def sphere(n, lx, ly, lz, radius, px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax, a
         ax[i] = a * r
         ay[i] = b * r
         az[i] = c * r
-        front[i] = strength if nx[i] * a + ny[i] * b + nz[i] * c > f4(0) else f4(0)
+        front[i] = lit[i] / far2 if nx[i] * a + ny[i] * b + nz[i] * c > f4(0) else f4(0)
         k = f4(1) + math.sqrt(f4(1) - sin2)
         t2[i] = sin2 / (k * k)
 
@@ -193,14 +207,11 @@ def _clipped(a, b, c, h0, ux, uy, uz, hu, wx, wy, wz, hw, half_w, half_h, su, sw
 
 
 @kernel(noalias=True)
-def rectangle(
-    n, lx, ly, lz, mx, my, mz, ux, uy, uz, wx, wy, wz, half_w, half_h, px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax, ay, az, e, front, tx2, ty2
-):
-    """A rectangle that shines along m: the exact form factor, cut at the horizon, and the point of it nearest to the mirrored view.
+def rectangle(n, lx, ly, lz, mx, my, mz, ux, uy, uz, wx, wy, wz, half_w, half_h, px, py, pz, nx, ny, nz, lit, e):
+    """A rectangle that shines along m: the exact form factor, cut at the horizon.
 
     u, w : unit vectors along its sides."""
     area = f4(4) * half_w * half_h
-    wide = half_w / half_h
     size2 = f4(4) * (half_w * half_w + half_h * half_h)
     for i in range(n):
         a = lx - px[i]
@@ -239,6 +250,26 @@ def rectangle(
         near = point if size2 < _SMALL * d2 else near
         e[i] = near * lit[i] if ahead > f4(0) else f4(0)
 
+
+@kernel(noalias=True)
+def rectangle_point(
+    n, lx, ly, lz, mx, my, mz, ux, uy, uz, wx, wy, wz, half_w, half_h, px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax, ay, az, front, tx2, ty2
+):
+    """For GGX: the point of a rectangle that is nearest to the mirrored view."""
+    area = f4(4) * half_w * half_h
+    wide = half_w / half_h
+    for i in range(n):
+        a = lx - px[i]
+        b = ly - py[i]
+        c = lz - pz[i]
+        X = nx[i]
+        Y = ny[i]
+        Z = nz[i]
+        d2 = a * a + b * b + c * c
+        d2 = d2 if d2 > _NEAREST2 else _NEAREST2
+        ahead = -(a * mx + b * my + c * mz)
+        cos = ahead / math.sqrt(d2)
+        cos = cos if cos > f4(0) else f4(0)
         nv = f4(2) * (X * vx[i] + Y * vy[i] + Z * vz[i])
         rx = nv * X - vx[i]
         ry = nv * Y - vy[i]
@@ -269,27 +300,6 @@ def rectangle(
         ty2[i] = t2 / wide
         reaches = (X * a + Y * b + Z * c > f4(0)) & (ahead > f4(0))
         front[i] = f4(4) * _PI * share / area / (f4(1) + t2) * lit[i] if reaches else f4(0)
-
-
-@kernel(noalias=True)
-def phong_towards(n, exponent, nx, ny, nz, vx, vy, vz, ax, ay, az, front, sized, tx2, ty2, s):
-    """max(0, R.V)^exponent, averaged over the light's disc where it has a size."""
-    more = exponent + f4(1)
-    for i in range(n):
-        nl2 = f4(2) * (nx[i] * ax[i] + ny[i] * ay[i] + nz[i] * az[i])
-        a = nl2 * nx[i] - ax[i] - vx[i]
-        b = nl2 * ny[i] - ay[i] - vy[i]
-        c = nl2 * nz[i] - az[i] - vz[i]
-        s[i] = power_below_one(f4(0.5) * (a * a + b * b + c * c), exponent) * front[i]
-    if sized:
-        for i in range(n):
-            h = f4(2) * tx2[i] / (f4(1) + tx2[i])
-            k = f4(2) * ty2[i] / (f4(1) + ty2[i])
-            x = more * h
-            y = more * k
-            x = (f4(1) - power_below_one(h, more)) / x if x > f4(1e-3) else f4(1) - f4(0.5) * x
-            y = (f4(1) - power_below_one(k, more)) / y if y > f4(1e-3) else f4(1) - f4(0.5) * y
-            s[i] = s[i] * math.sqrt(x * y) * (f4(1) + math.sqrt(tx2[i] * ty2[i]))
 
 
 @kernel(noalias=True)

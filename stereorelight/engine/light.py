@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from stereorelight.arrays import Float32
 from stereorelight.engine import area_rows as area
+from stereorelight.engine import ball_rows, lobe_rows
 from stereorelight.engine import light_rows as leaf
 from stereorelight.engine.fastmath import f4, floor, i4, kernel
 from stereorelight.engine.rows import in_row_blocks
@@ -50,21 +51,24 @@ MOST_SQUARED = 128  # whole exponents up to here are raised by squaring; beyond,
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever light_rows.py does;
 # tests/test_light_layers.py holds the two together.
 LEAVES = "1141c4474fbdefbd"
-AREA_LEAVES = "258cefa685ce760a"
+LOBE_LEAVES = "c199acab019d4f07"
+BALL_LEAVES = "9832531bd3fb9ba2"
+AREA_LEAVES = "0e6c1734c7883028"
 STRIP = 2048  # its rows stay in the second-level cache
-ROWS = 26  # of the strip, see _rows
+AREA_ROWS = 26  # of the strip, see _rows; then come those of a highlight of a light with a size
+ROWS = AREA_ROWS + lobe_rows.ROOM
 PADDING = 80  # rows a whole page apart would fall onto the same cache lines
 VECTOR = 64  # whole vectors, unrolled, on any machine of today
 
 
 @kernel()
 def _rows(
-    T, first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, glows, layers, plate, gain, beauty, to_beauty,
+    T, at, first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, glows, layers, plate, gain, beauty, to_beauty,
     own_albedo,
 ):  # fmt: skip
     """Rows first..end.  P, N, albedo, plate, beauty are (H, 3 W); rays (H, 2 W); layers (slots, H, 3 W); mattes (k, H, W).
 
-    T : (ROWS, STRIP + PADDING), room for one strip's rows."""
+    T : (ROWS, STRIP + PADDING), room for one strip's rows;  at : (STRIP + PADDING,) whole numbers."""
     W = N.shape[1] // 3
     h, front = T[19], T[20]
     ax_, ay_, az_, tx2, ty2 = T[21], T[22], T[23], T[24], T[25]
@@ -117,15 +121,11 @@ def _rows(
                 shape = slots[k, SHAPE]
                 if shape != POINT or slots[k, MODEL] == GGX:
                     if shape == BALL:
-                        area.sphere(
-                            n, q[0], q[1], q[2], q[RADIUS], px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax_, ay_, az_, e, front, tx2
-                        )  # fmt: skip
-                        leaf.copy(n, tx2, ty2)
+                        area.sphere(n, q[0], q[1], q[2], q[RADIUS], px, py, pz, nx, ny, nz, lit, e)
                     elif shape == RECTANGLE:
                         area.rectangle(
                             n, q[0], q[1], q[2], q[AXIS], q[AXIS + 1], q[AXIS + 2], q[SIDE_U], q[SIDE_U + 1], q[SIDE_U + 2],
-                            q[SIDE_V], q[SIDE_V + 1], q[SIDE_V + 2], q[HALF_U], q[HALF_V],
-                            px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax_, ay_, az_, e, front, tx2, ty2,
+                            q[SIDE_V], q[SIDE_V + 1], q[SIDE_V + 2], q[HALF_U], q[HALF_V], px, py, pz, nx, ny, nz, lit, e,
                         )  # fmt: skip
                     else:
                         area.towards(
@@ -133,12 +133,30 @@ def _rows(
                             px, py, pz, nx, ny, nz, lit, ax_, ay_, az_, e, front,
                         )  # fmt: skip
                     if shines and slots[k, MODEL] == GGX:
+                        if shape == BALL:
+                            area.sphere_point(n, q[0], q[1], q[2], q[RADIUS], px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax_, ay_, az_, front, tx2)
+                            leaf.copy(n, tx2, ty2)
+                        elif shape == RECTANGLE:
+                            area.rectangle_point(
+                                n, q[0], q[1], q[2], q[AXIS], q[AXIS + 1], q[AXIS + 2], q[SIDE_U], q[SIDE_U + 1], q[SIDE_U + 2],
+                                q[SIDE_V], q[SIDE_V + 1], q[SIDE_V + 2], q[HALF_U], q[HALF_V],
+                                px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax_, ay_, az_, front, tx2, ty2,
+                            )  # fmt: skip
                         area.ggx_towards(
                             n, q[ALPHA2], q[F0], q[IOR], glows[slots[k, GLOW]], nx, ny, nz, vx, vy, vz, ax_, ay_, az_, front,
                             shape != POINT, tx2, ty2, s,
                         )  # fmt: skip
+                    elif shines and shape == BALL:
+                        ball_rows.ball(
+                            n, q[EXPONENT], q[0], q[1], q[2], q[RADIUS], px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax_, ay_, az_, tx2, s, at,
+                            T[AREA_ROWS:],
+                        )  # fmt: skip
                     elif shines:
-                        area.phong_towards(n, q[EXPONENT], nx, ny, nz, vx, vy, vz, ax_, ay_, az_, front, shape != POINT, tx2, ty2, s)
+                        lobe_rows.rectangle(
+                            n, q[EXPONENT], q[0], q[1], q[2], q[AXIS], q[AXIS + 1], q[AXIS + 2], q[SIDE_U], q[SIDE_U + 1], q[SIDE_U + 2],
+                            q[SIDE_V], q[SIDE_V + 1], q[SIDE_V + 2], q[HALF_U], q[HALF_V],
+                            px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax_, ay_, az_, tx2, s, at, T[AREA_ROWS:],
+                        )  # fmt: skip
                 elif shines:
                     leaf.phong(
                         n, q[0], q[1], q[2], q[3], q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE],
@@ -255,8 +273,9 @@ def shade(
     def run(first: int, end: int) -> None:
         if not hasattr(room, "rows"):
             room.rows = np.empty((ROWS, STRIP + PADDING), np.float32)
+            room.at = np.empty(STRIP + PADDING, np.int64)
         _rows(
-            room.rows, first, end, surface.P is not None, surface.rays is not None, P, Z, rays, N, fx, fy, cx, cy, flat_albedo,
+            room.rows, room.at, first, end, surface.P is not None, surface.rays is not None, P, Z, rays, N, fx, fy, cx, cy, flat_albedo,
             lights, slots, mattes, tables, flat_layers, flat_plate, gains, flat_beauty, beauty is not None, albedo is plate,
         )  # fmt: skip
 
