@@ -5,7 +5,7 @@ light on them with and without its ray-traced shadow, (n, 3) linear."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,10 @@ class Hits:
     albedo: Float64
     specular: Float64
     views: Float64
+
+    def of(self, at: npt.NDArray[np.int64]) -> Hits:
+        """Some of them."""
+        return Hits(**{f.name: getattr(self, f.name)[at] for f in fields(self)})
 
 
 def cast(tables: Tables, camera: Camera, pose: Float64, pixels: Float64) -> Hits:

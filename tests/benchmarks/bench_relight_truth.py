@@ -43,6 +43,7 @@ LIGHTS: tuple[Light, ...] = (
     SpotLight(name="spot", position_m=(0.8, 0.9, -0.5), aim_m=(0.0, 0.03, -1.45), cone_deg=24.0, penumbra_deg=6.0, intensity=1.5),
     RectLight(name="area", position_m=(-0.8, 0.3, -0.7), aim_m=(0.0, 0.0, -1.5), size_m=(0.5, 0.5), intensity=1.0),
 )
+SPREAD = {"rect": "places by pixel"}  # how the truth was sampled, where that has changed since the caches were made
 MARGIN_PX = 12  # of light about the subject that the blur may reach into
 
 
@@ -55,7 +56,7 @@ def truth_of(scene: str, size: tuple[int, int], pair: Pair, cache: Path | None) 
     out: dict[str, np.ndarray] = {}
     near = grown(subject_of(scene, pair), MARGIN_PX)
     for light in LIGHTS:
-        key = hashlib.sha256(repr(light).encode()).hexdigest()[:8]
+        key = hashlib.sha256((repr(light) + SPREAD.get(light.kind, "")).encode()).hexdigest()[:8]
         path = None if cache is None else cache / f"{scene}_{size[0]}x{size[1]}_relight_{light.name}_{key}.npz"
         if path is not None and path.exists():
             out |= dict(np.load(path))
