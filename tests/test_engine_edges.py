@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import pytest
 
-from stereorelight.engine.edges import weighed_sides
+from stereorelight.engine.edges import outlined, weighed_sides
 
 f4 = np.float32
 H, W, EDGE, NEAR, FAR = 40, 120, 60, 12, 4  # a card over x < EDGE before a wall, px of disparity
@@ -65,3 +66,19 @@ def test_one_surface_is_left_alone() -> None:
     left, right, _ = scene(alike=True)
     slope = np.broadcast_to(5 + 0.3 * np.arange(W, dtype=f4), (H, W)).copy()
     assert np.array_equal(sided(slope, left, right), slope)
+
+
+@pytest.mark.parametrize("size", [(20, 31), (2, 3)])
+def test_outlined_is_the_median_weighed_by_likeness(size: tuple[int, int]) -> None:
+    """Against the sorted values written out, borders included; pixels outside `where` stay."""
+    rng = np.random.default_rng(7)
+    disparity, where = rng.integers(0, 6, size).astype(f4), rng.random(size) < 0.7
+    picture = rng.integers(0, 60, (*size, 3)).astype(np.uint8)
+    got = outlined(disparity, where, picture, tone_levels=12.0)
+    for y, x in np.ndindex(size):
+        window = (slice(max(y - 2, 0), y + 3), slice(max(x - 2, 0), x + 3))
+        shares = np.exp(-np.abs(picture[window].astype(int) - picture[y, x].astype(int)).max(axis=2) / 12).ravel()
+        values = disparity[window].ravel()
+        upto = {v: shares[values <= v].sum() for v in values}
+        least = min(v for v, share in upto.items() if share >= 0.5 * shares.sum())
+        assert got[y, x] == (least if where[y, x] else disparity[y, x])

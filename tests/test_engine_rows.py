@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.rows import at_once, in_row_blocks
 from stereorelight.errors import ShotError
 from stereorelight.threads import set_threads, usable_cores
 
@@ -114,3 +114,26 @@ def test_more_threads_than_cores_is_no_error() -> None:
 def test_no_threads_is_refused(count: int) -> None:
     with pytest.raises(ShotError, match="at least 1"):
         set_threads(count)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_two_at_once_give_both_answers_and_every_error(threads: int) -> None:
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    assert at_once(lambda: 1, lambda: "b") == (1, "b")
+    for first, second in ((0, 1), (1, 0), (0, 0)):
+        with pytest.raises(ZeroDivisionError):
+            at_once(lambda a=first: 1 // a, lambda b=second: 1 // b)
+
+
+def test_two_at_once_run_at_once_and_within_each_other() -> None:
+    """Each waits for the other to begin; then a pool whose threads are all taken still answers."""
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("one core")
+    numba.set_num_threads(2)
+    meet = threading.Barrier(2, timeout=20)
+    at_once(meet.wait, meet.wait)
+
+    def deep(level: int) -> int:
+        return sum(at_once(lambda: deep(level - 1), lambda: deep(level - 1))) if level else 1
+
+    assert deep(5) == 32

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from stereorelight.engine.tone import LEVELS, levels, through_tables
+from stereorelight.engine.tone import LEVELS, levels, median_twist, through_tables
 
 f4 = np.float32
 TOP = LEVELS - 1
@@ -84,3 +85,14 @@ def test_sixteen_levels_to_a_grey_level_keep_a_ramp_without_gaps() -> None:
     assert len(np.unique(level)) == LEVELS
     tables = np.tile(np.linspace(0, 255, LEVELS, dtype=f4), (3, 1))
     assert len(np.unique(through_tables(level, tables)[0])) == 256
+
+
+@pytest.mark.parametrize("size", [(3, 3), (40, 31), (41, 30)])
+def test_median_twist_is_the_median_of_the_mask(size) -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (*size, 3)).astype(np.uint8)
+    mask = cv2.filter2D(picture[..., 1], cv2.CV_32F, np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], f4))
+    assert median_twist(picture, 1) == np.median(np.abs(mask[1:-1:2, 1:-1:2]))
+
+
+def test_a_picture_too_small_for_the_mask_has_no_twist() -> None:
+    assert np.isnan(median_twist(np.zeros((2, 9, 3), np.uint8), 1))

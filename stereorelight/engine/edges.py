@@ -9,6 +9,7 @@ from numba import njit
 
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.support_vector import PLACES, weighted_median
 
 f4 = np.float32
 i4 = np.int32
@@ -213,30 +214,22 @@ def weighed_sides(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _outlines(first, end, disparity, where, picture, weights, out):
     H, W = disparity.shape
-    values, shares = np.empty(25, np.float32), np.empty(25, np.float32)
+    values, shares = np.empty(PLACES, np.float32), np.empty(PLACES, np.float32)
     for y in range(first, end):
         for x in range(W):
             out[y, x] = disparity[y, x]
             if not where[y, x]:
                 continue
+            values[:], shares[:] = f4(np.inf), f4(0)
             n, total = 0, f4(0)
             b, g, r = i4(picture[y, x, 0]), i4(picture[y, x, 1]), i4(picture[y, x, 2])
             for j in range(max(y - 2, 0), min(y + 3, H)):
                 for i in range(max(x - 2, 0), min(x + 3, W)):
                     apart = max(abs(i4(picture[j, i, 0]) - b), max(abs(i4(picture[j, i, 1]) - g), abs(i4(picture[j, i, 2]) - r)))
-                    value, share = disparity[j, i], weights[apart]
-                    total += share
-                    k = n
-                    while k > 0 and values[k - 1] > value:
-                        values[k], shares[k] = values[k - 1], shares[k - 1]
-                        k -= 1
-                    values[k], shares[k] = value, share
+                    values[n], shares[n] = disparity[j, i], weights[apart]
+                    total += shares[n]
                     n += 1
-            half, k = f4(0.5) * total - shares[0], 0
-            while half > f4(0) and k < n - 1:
-                k += 1
-                half -= shares[k]
-            out[y, x] = values[k]
+            out[y, x] = weighted_median(values, shares, f4(0.5) * total)
 
 
 def outlined(disparity: Float32, where: Bool, picture: UInt8, *, tone_levels: float = 12.0) -> Float32:

@@ -9,6 +9,7 @@ from numba import njit
 
 from stereorelight.arrays import Float32
 from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.windows import row_mean_square_9
 
 f4 = np.float32
 
@@ -140,21 +141,42 @@ def spline_residual(left: Float32, left_spline: Float32, right_spline: Float32, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _evidence_row(disparity, residual, rate, noise2, rate2, trust, locking, steepness, weight, pull):
+    for x in range(disparity.size):
+        u = f4(x) - disparity[x]
+        t = int((u - np.floor(u)) * f4(FRACTIONS))
+        e, g, n2 = residual[x], rate[x], noise2[x]
+        k = f4(1) / (f4(1) + e * e / (f4(9) * n2))
+        k *= k
+        # Of the squared slope, this share is texture; the rest is noise and says nothing.
+        real = f4(1) - n2 * steepness[t] / max(rate2[x], f4(1e-6))
+        real = min(max(real, f4(0.03)), f4(1))
+        k *= trust[x] * real
+        weight[x] = g * g / n2 * k * real
+        pull[x] = (g * e / n2 - (locking[t] if g != f4(0) else f4(0))) * k
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _evidence(first, end, disparity, residual, rate, noise2, rate2, trust, locking, steepness, weight, pull):
-    W = disparity.shape[1]
     for y in range(first, end):
+        _evidence_row(disparity[y], residual[y], rate[y], noise2[y], rate2[y], trust[y], locking, steepness, weight[y], pull[y])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _held(first, end, disparity, residual, rate, trust, matched, tuning, locking, steepness, weight, pull):
+    usual9, floor2, unseen, prior_unseen, prior_seen = tuning
+    W = disparity.shape[1]
+    wide, noise2, rate2 = np.empty(W + 8, np.float32), np.empty(W, np.float32), np.empty(W, np.float32)
+    for y in range(first, end):
+        row_mean_square_9(residual, y, usual9, wide, noise2)
+        row_mean_square_9(rate, y, f4(np.inf), wide, rate2)
         for x in range(W):
-            u = f4(x) - disparity[y, x]
-            t = int((u - np.floor(u)) * f4(FRACTIONS))
-            e, g, n2 = residual[y, x], rate[y, x], noise2[y, x]
-            k = f4(1) / (f4(1) + e * e / (f4(9) * n2))
-            k *= k
-            # Of the squared slope, this share is texture; the rest is noise and says nothing.
-            real = f4(1) - n2 * steepness[t] / max(rate2[y, x], f4(1e-6))
-            real = min(max(real, f4(0.03)), f4(1))
-            k *= trust[y, x] * real
-            weight[y, x] = g * g / n2 * k * real
-            pull[y, x] = (g * e / n2 - (locking[t] if g != f4(0) else f4(0))) * k
+            noise2[x] = max(noise2[x], floor2)
+        _evidence_row(disparity[y], residual[y], rate[y], noise2, rate2, trust[y], locking, steepness, weight[y], pull[y])
+        for x in range(W):
+            prior = prior_unseen if trust[y, x] <= unseen else prior_seen
+            weight[y, x] += prior
+            pull[y, x] += prior * (matched[y, x] - disparity[y, x])
 
 
 def photometric_evidence(
@@ -170,6 +192,30 @@ def photometric_evidence(
     weight, pull = np.empty_like(disparity), np.empty_like(disparity)
     given = (disparity, residual, rate, noise2, rate2, trust, LOCKING, STEEPNESS, weight, pull)
     in_row_blocks(lambda first, end: _evidence(first, end, *given), disparity.shape[0])
+    return weight, pull
+
+
+def held_evidence(
+    disparity: Float32,
+    residual: Float32,
+    rate: Float32,
+    trust: Float32,
+    matched: Float32,
+    *,
+    most2: float,
+    floor2: float,
+    unseen: float,
+    priors: tuple[float, float],
+) -> tuple[Float32, Float32]:
+    """`photometric_evidence`, with the noise of the pictures measured over 9 x 9, held to a disparity that was `matched`.
+
+    most2, floor2 : grey levels squared; a square that counts no more than that for the noise, and what the noise is at least.
+    priors        : weight of the matched disparity, 1/px^2, where `trust` is `unseen` or less, and elsewhere.
+    """
+    weight, pull = np.empty_like(disparity), np.empty_like(disparity)
+    tuning = tuple(f4(a) for a in (most2, floor2, unseen, *priors))
+    given = (disparity, residual, rate, trust, matched, tuning, LOCKING, STEEPNESS, weight, pull)
+    in_row_blocks(lambda first, end: _held(first, end, *given), disparity.shape[0])
     return weight, pull
 
 

@@ -11,10 +11,13 @@ import functools
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import TypeVar
 
 import numba
 
+First = TypeVar("First")
+Second = TypeVar("Second")
 BLOCK_ROWS = 16
 
 
@@ -58,3 +61,23 @@ def in_row_blocks(run: Callable[[int, int], None], height: int, *, block_rows: i
             helper.result()
     if problems:
         raise problems[0]
+
+
+def at_once(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
+    """What both functions return, the second called by another thread meanwhile where `threads.set_threads` allows more than one.
+
+    For work that shares out none of its own.  Raises : what either raised, the first one's before the second one's.
+    """
+    if numba.get_num_threads() < 2:
+        return first(), second()
+    try:
+        helper = _pool().submit(second)
+    except RuntimeError:  # the interpreter is ending
+        return first(), second()
+    try:
+        mine = first()
+    finally:
+        begun = not helper.cancel()
+        if begun:
+            wait([helper])
+    return mine, helper.result() if begun else second()

@@ -1,4 +1,4 @@
-"""Sixteen disparities at a time: the inner loops of engine/support.py, as LLVM vectors.
+"""Sixteen numbers at a time: the inner loops of engine/support.py, and a median of engine/edges.py, as LLVM vectors.
 
 In, out: flat arrays inside numba kernels and a place in each.  Compilers make single numbers of loops this short, which take four to six
 times as long."""
@@ -11,6 +11,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 LANES = 16
+PLACES = 2 * LANES  # of `weighted_median`
 FLOAT, SHORT, INT, LONG = ir.FloatType(), ir.IntType(16), ir.IntType(32), ir.IntType(64)
 FLOATS, SHORTS, INTS, LONGS = (ir.VectorType(t, LANES) for t in (FLOAT, SHORT, INT, LONG))
 VECTOR = {FLOAT: FLOATS, SHORT: SHORTS, INT: INTS, LONG: LONGS}
@@ -180,3 +181,31 @@ def take_less(typingctx, a, i, b, j):
 
     n = types.int64
     return types.void(a, n, b, n), body
+
+
+@intrinsic
+def weighted_median(typingctx, values, shares, half):
+    """The least of `PLACES` values up to which shares of `half` or more lie; unused places hold infinity and 0.
+
+    All are compared with all: quicker than sorting so few, since it needs no decision.
+    """
+
+    def body(context, builder, signature, args):
+        values, shares, half = args
+        kinds = signature.args
+        wide = [_load(context, builder, kinds[0], values, ir.Constant(LONG, k), FLOAT) for k in (0, LANES)]
+        upto = [ir.Constant(FLOATS, [0.0] * LANES)] * 2
+        for k in range(PLACES):
+            place = ir.Constant(LONG, k)
+            value, share = (
+                _splat(builder, builder.load(_at(context, builder, kind, a, place, FLOAT), typ=FLOAT)) for kind, a in zip(kinds, (values, shares))
+            )
+            for i in (0, 1):
+                counts = builder.select(builder.fcmp_ordered("<=", value, wide[i]), share, ir.Constant(FLOATS, [0.0] * LANES))
+                upto[i] = builder.fadd(upto[i], counts)
+        far = ir.Constant(FLOATS, [float("inf")] * LANES)
+        low, high = (builder.select(builder.fcmp_ordered(">=", u, _splat(builder, half)), w, far) for u, w in zip(upto, wide))
+        both = builder.select(builder.fcmp_ordered("<", low, high), low, high)
+        return _call(builder, f"llvm.vector.reduce.fmin.v{LANES}f32", FLOAT, both)
+
+    return types.float32(values, shares, types.float32), body

@@ -71,3 +71,23 @@ def through_tables(level: UInt16, tables: Float32) -> tuple[UInt8, Float32]:
     bgr, grey = np.empty(level.shape, np.uint8), np.empty(level.shape[:2], np.float32)
     in_row_blocks(lambda first, end: _through(first, end, level, tables, bgr, grey), level.shape[0])
     return bgr, grey
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _twists(picture, channel, counts):
+    H, W = picture.shape[:2]
+    for y in range(1, H - 1, 2):
+        for x in range(1, W - 1, 2):
+            total = 4 * np.int64(picture[y, x, channel])
+            for d in (-1, 1):
+                total -= 2 * (np.int64(picture[y + d, x, channel]) + np.int64(picture[y, x + d, channel]))
+                total += np.int64(picture[y + d, x - 1, channel]) + np.int64(picture[y + d, x + 1, channel])
+            counts[abs(total)] += 1
+
+
+def median_twist(picture: UInt8, channel: int) -> float:
+    """Median size of the mask 1 -2 1, -2 4 -2, 1 -2 1, which knows no ramps, over every other pixel of every other row of a channel."""
+    counts = np.zeros(8 * 255 + 1, np.int64)
+    _twists(picture, channel, counts)
+    upto, n = np.cumsum(counts), int(counts.sum())
+    return float(np.searchsorted(upto, (n - 1) // 2, "right") + np.searchsorted(upto, n // 2, "right")) / 2 if n else float("nan")

@@ -12,6 +12,7 @@ import numpy as np
 
 from stereorelight.arrays import Float32
 from stereorelight.camera import Eye
+from stereorelight.engine.distance import distances
 from stereorelight.engine.occlusion import consistent
 from stereorelight.engine.resample import on_planes
 from stereorelight.errors import PlateError
@@ -137,17 +138,18 @@ def depth_on_plate(depth: RectifiedDepth, rectification: Rectification, *, eye: 
         flags, sure, sigma = (a.ravel()[np.maximum(nearest, 0)] for a in (depth.flags, depth.confidence, refined.sigma_px))
         flags[nearest < 0], sure[nearest < 0] = np.uint16(Flag.OUT_OF_VIEW | Flag.UNMATCHED), 0
         stretch = rectification.original_over_rectified_depth(eye)
-    far = disparity + np.float32(rig.doffs_px) < SMALLEST_DISPARITY_PX
-    flags[far] |= np.uint16(Flag.TOO_FAR)
-    Z = (rig.depth_from_disparity(disparity) * stretch).astype(np.float32)
-    Z[far] = np.nan
-    if not fill:
-        Z[(flags & Flag.FILLED) != 0] = np.nan
-    known = np.isfinite(Z)
-    sure[~known] = 0
-    sigma[~known] = np.nan
-    with np.errstate(divide="ignore", invalid="ignore"):
-        Z_sigma = np.where(known, Z * sigma / (disparity + np.float32(rig.doffs_px)), np.nan).astype(np.float32)
+    Z, Z_sigma = distances(
+        disparity,
+        flags,
+        sure,
+        sigma,
+        per=rig.left.fx * rig.baseline_m,
+        doffs=rig.doffs_px,
+        stretch=stretch,
+        smallest=SMALLEST_DISPARITY_PX,
+        far_flag=Flag.TOO_FAR,
+        dropped=0 if fill else Flag.FILLED,
+    )
     return Frame(passes={"Z": Z, "confidence": sure, "flags": flags, "disparity_sigma": sigma, "Z_sigma": Z_sigma}, camera=camera, eye=eye)
 
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stereorelight.arrays import Float32
+from stereorelight.arrays import Float32, UInt8
+from stereorelight.engine.rows import at_once
 from stereorelight.stereo.proxy import Proxy
 
 VERTICAL_LIMIT_PX = 2.0  # a match that leaves its row by more is no stereo match
@@ -29,13 +30,16 @@ def _look_up(flow: Float32, at: Float32) -> Float32:
     return cv2.remap(flow, grid + at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(1e6, 1e6))
 
 
+def _flow(picture: UInt8, other: UInt8) -> Float32:
+    return cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST).calc(picture, other, None)
+
+
 def flow_disparity(proxy: Proxy, *, within_px: float = 1.0) -> FlowMatch:
     """Disparity by optical flow on half-size pictures, checked there and back to `within_px` of the full size."""
     height, width = proxy.left_grey.shape
     half = (max(width // 2, 16), max(height // 2, 16))
     left, right = (cv2.resize(p, half, interpolation=cv2.INTER_AREA).astype(np.uint8) for p in (proxy.left_grey, proxy.right_grey))
-    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
-    there, back = dis.calc(left, right, None), dis.calc(right, left, None)
+    there, back = at_once(lambda: _flow(left, right), lambda: _flow(right, left))
     size = np.array([width / half[0], height / half[1]], np.float32)
     residual = (there + _look_up(back, there)) * size
     there = there * size

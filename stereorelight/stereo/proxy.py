@@ -8,6 +8,7 @@ channel by channel: different exposure or colour turns 3 % of wrong matches into
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import cv2
@@ -15,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float32, Float64, UInt8, UInt16
-from stereorelight.engine.tone import LEVELS, levels, through_tables
+from stereorelight.engine.tone import LEVELS, levels, median_twist, through_tables
 from stereorelight.errors import PlateError
 
 Number = TypeVar("Number", np.float32, np.uint16)
@@ -24,7 +25,6 @@ CALM_WINDOW, CALM_RADIUS = 7, 2.0  # px
 CALM_TONES = 4.6  # times the noise: what differs by more is an edge
 AGAIN_WINDOW, AGAIN_RADIUS = 5, 1.2  # px, once edges are known: small, since what is averaged away no longer tells disparities apart
 AGAIN_TONES = 0.5  # times the noise, of the grey that is calm already
-FLAT_MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 WHITE_QUANTILE = 0.99
 HEADROOM = 1.25  # white lies this much above that quantile
 QUANTILES = 256
@@ -78,9 +78,11 @@ class Proxy:
 
     def noise(self) -> float:
         """Standard deviation of the noise of a channel, grey levels: the median of a mask that knows no ramps (Immerkaer 1996)."""
-        green = self.left[..., 1]
-        mask = np.abs(cv2.filter2D(green, cv2.CV_32F, FLAT_MASK)[1:-1:2, 1:-1:2])
-        return float(np.median(mask)) / (0.6745 * 6)
+        return self._noise
+
+    @cached_property
+    def _noise(self) -> float:
+        return median_twist(self.left, 1) / (0.6745 * 6)
 
 
 def _sample(picture: npt.NDArray[Number]) -> npt.NDArray[Number]:

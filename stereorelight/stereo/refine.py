@@ -19,9 +19,10 @@ from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.bending import bend_energy, plate_correction, slopes
 from stereorelight.engine.edges import joined_to_sides, outlined, weighed_sides
 from stereorelight.engine.occlusion import background, unseen
-from stereorelight.engine.photometric import photometric_evidence, row_splines, spline_residual
+from stereorelight.engine.photometric import held_evidence, row_splines, spline_residual
 from stereorelight.engine.pyramid import doubled, halved
 from stereorelight.engine.refine import blended, robust_planes
+from stereorelight.engine.windows import less_local_means
 from stereorelight.stereo.proxy import Proxy
 
 
@@ -82,8 +83,6 @@ JUMP_PX = 1.5  # a step between neighbours that no surface worth lighting makes
 EDGE_PX = 4  # how far from a step a pixel may be on the wrong side of it
 SIDE_PX = 6  # even; how far to look for the two sides of a step
 FATTENING_PX = 3  # how far matching carries a near surface past its outline
-LOCAL = (7, 7)  # window over which a difference of brightness between the eyes is exposure, not disparity
-NOISE = (9, 9)  # window over which the noise of the pictures is measured
 NOISE_FLOOR = 0.7  # grey levels: quantisation and resampling leave no less
 UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.1
 PRIOR = 0.02  # weight of the matched disparity where the pictures say nothing, 1/px^2: its errors hang together over many pixels
@@ -166,18 +165,14 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
     left_spline, right_spline = row_splines(proxy.left_grey), row_splines(proxy.right_grey)
     d = disparity
     bend: Float32 | None = None
-    prior = np.where(trust <= UNSEEN_TRUST, np.float32(UNSEEN_PRIOR), np.float32(PRIOR))
     for k in range(effort.rounds):
-        residual, rate = spline_residual(proxy.left_grey, left_spline, right_spline, d)
-        residual -= cv2.blur(residual, LOCAL)
-        rate -= cv2.blur(rate, LOCAL)
-        rate[trust <= UNSEEN_TRUST] = 0
-        squares = residual * residual
-        usual = 2.2 * float(np.median(squares[::4, ::4])) + NOISE_FLOOR**2
-        noise2 = np.maximum(cv2.blur(np.minimum(squares, np.float32(9 * usual)), NOISE), np.float32(NOISE_FLOOR**2))
-        weight, pull = photometric_evidence(d, residual, rate, noise2, cv2.blur(rate * rate, NOISE), trust)
-        weight += prior
-        pull += prior * (disparity - d)
+        # A difference of brightness over a neighbourhood is exposure, not disparity.
+        residual, rate = less_local_means(*spline_residual(proxy.left_grey, left_spline, right_spline, d), trust, least=UNSEEN_TRUST)
+        few = residual[::4, ::4]
+        usual = 2.2 * float(np.median(few * few)) + NOISE_FLOOR**2
+        weight, pull = held_evidence(
+            d, residual, rate, trust, disparity, most2=9 * usual, floor2=NOISE_FLOOR**2, unseen=UNSEEN_TRUST, priors=(UNSEEN_PRIOR, PRIOR)
+        )
         mean = _mean_weight(weight)
         bend = np.full_like(mean, BEND) if bend is None else expected_bend(d, mean, bend)
         finest = effort.finest if k < effort.rounds - 1 else 0
