@@ -34,6 +34,8 @@ NOWHERE = -32768
 NOISY = 3.2  # grey levels of noise from which matching is made stiffer with it
 HALF_SMALLEST_PX = 64  # of half a picture's side that is worth matching
 HALF_AGREES_PX = 1.5  # whole half-size pixels cannot agree better
+PLAIN, PLAIN_WINDOW = 4.0, (5, 5)  # grey levels per px along the row, root mean square about a pixel: plainer ground proves nothing
+PLAIN_LOST = 0.15  # share of the picture that is plain and unmatched from which a clean pair is matched at half the size, too
 ALIKE = 0.25  # of the noise: neighbours that differ by less are alike to the census
 CLEAN_STEP, CALM_STEP = 2.0, 1.5  # cost of a step of the census; of calm plates less, where more of its answers are chance
 P1, P2 = 2 * BLOCK**2, 30 * BLOCK**2  # penalties of a step by one and of a jump, per channel: low for steps, since planes smooth later; high for
@@ -132,17 +134,31 @@ def _right_px(matcher: cv2.StereoSGBM, proxy: Proxy, search: DisparityRange) -> 
     return -_as_pixels(raw, 1 - search.high)  # the right matcher counts x_right - x_left
 
 
-def _guide(matcher: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: DisparityRange) -> Float32:
-    """What leads adaptive support: SGBM's left answer; under grain only where its right one confirms it, else that of half the size.
+def _plain(proxy: Proxy) -> Bool:
+    """(H, W): ground that has nothing to hold a match by along its row."""
+    steep = cv2.Sobel(proxy.left_grey, cv2.CV_32F, 1, 0, scale=1 / 8)
+    return cv2.blur(steep * steep, PLAIN_WINDOW) < PLAIN**2
 
-    Half the size has a quarter of the noise, and is blind to what is thin: it only speaks where the full size has nothing sure to say.
+
+def _guide(matcher: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: DisparityRange) -> Float32:
+    """What leads adaptive support: SGBM's left answer, and that of half the size under grain or where much of the picture is plain.
+
+    Half the size has a quarter of the noise, and the rims of plain ground are nearer there; it is blind to what is thin.  Under grain it
+    speaks where SGBM's right answer does not confirm the left one.  In clean plates it speaks on plain ground, and only where SGBM is lost
+    on a good part of the picture: elsewhere the full size knows better (docs/decisions/0026-plain-ground.md).
     """
     left = _left_px(matcher, calm, search)
-    if calm is proxy or min(left.shape) < 2 * HALF_SMALLEST_PX:
+    if min(left.shape) < 2 * HALF_SMALLEST_PX:
         return left
-    small = match(half_proxy(proxy), search.halved(), guided=False)
+    clean = calm is proxy
+    plain = _plain(proxy) if clean else np.True_
+    if clean and np.mean(plain & np.isnan(left)) < PLAIN_LOST:
+        return left
+    small = match(half_proxy(proxy), search.halved(), guided=clean)  # clean plates go on to a quarter of the size, as long as it is plain, too
     half = 2 * nearest(small.left, (left.shape[0], left.shape[1]))
     sure = nearest(consistent(small.left, small.right).view(np.uint8), (left.shape[0], left.shape[1])) > 0
+    if clean:
+        return np.where(plain & sure, half, left)
     with np.errstate(invalid="ignore"):
         stands = consistent(left, _right_px(matcher, calm, search)) | (np.abs(left - half) <= HALF_AGREES_PX)
     return np.where(stands, left, np.where(sure, half, np.float32(np.nan)))
@@ -153,7 +169,7 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
 
     The one holds plain ground together, the other keeps each thing's own outline (docs/decisions/0018-adaptive-support.md).
     exhaustive : eight directions of SGBM in place of three; slower, and much more memory: three where that would be more than about 2 GB.
-    guided     : grainy plates are matched at half the size, too, for where the full size finds nothing sure.
+    guided     : grainy and plain plates are matched at half the size, too, for where the full size finds nothing sure.
     """
     noise = proxy.noise()
     calm = proxy.calmed()
