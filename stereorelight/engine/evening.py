@@ -1,10 +1,12 @@
-"""The 4 x 4 kinds of pixel, which each took their own samples, evened out over neighbours on one surface.
+"""Means over neighbours on one surface: the 4 x 4 kinds of pixel, which each took their own samples, evened out; and how rough it is.
 
-In: values (H, W, C), P and N (H, W, 3) float32.  Out: (H, W, C) float32.
+In: values (H, W, C), P and N (H, W, 3) float32.  Out: (H, W, C) float32; (H, W) metres.
 Over 5 x 5 pixels whose outer rows and columns count half, every kind counts the same: sixteen times as many samples, for nothing.
 Source: Keller and Heidrich, Interleaved sampling, Rendering Techniques 2001."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from stereorelight.engine.rows import in_row_blocks
 REACH = 2
 FLAT = 0.15  # a neighbour may stand off the pixel's own plane by this share of its distance along it, and of a pixel
 ALIKE = 0.8  # least cosine between their normals
+STEP = 0.5  # the same share for what is rough and still one surface
 
 
 @kernel()
@@ -63,4 +66,33 @@ def evened(values: Float32, P: Float32, N: Float32, focal_px: float) -> Float32:
     """`values` (H, W, C) without the pattern of their kinds; NaN nowhere in them.  Pixels without P or N keep their own."""
     out = np.empty_like(values)
     in_row_blocks(lambda a, b: _rows(a, b, values, P, N, f4(1 / focal_px), out), values.shape[0])
+    return out
+
+
+@kernel()
+def _rough_rows(first, end, P, N, pixel_per_m, out):
+    height, width = P.shape[0], P.shape[1]
+    for y in range(first, end):
+        for x in range(width):
+            z = -P[y, x, 2]
+            total = f4(0)
+            count = f4(0)
+            if z > f4(0) and N[y, x, 0] * N[y, x, 0] >= f4(0):
+                least = z * pixel_per_m
+                for v in range(max(y - REACH, 0), min(y + REACH + 1, height)):
+                    for u in range(max(x - REACH, 0), min(x + REACH + 1, width)):
+                        a = P[v, u, 0] - P[y, x, 0]
+                        b = P[v, u, 1] - P[y, x, 1]
+                        c = P[v, u, 2] - P[y, x, 2]
+                        off = a * N[y, x, 0] + b * N[y, x, 1] + c * N[y, x, 2]
+                        if abs(off) <= f4(STEP) * (abs(a) + abs(b) + abs(c) + least):
+                            total += off * off
+                            count += f4(1)
+            out[y, x] = math.sqrt(total / (count - f4(1))) if count > f4(1) else f4(0)
+
+
+def roughness(P: Float32, N: Float32, focal_px: float) -> Float32:
+    """(H, W) metres: root mean square of how far the 5 x 5 pixels about each one stand off the plane through it along N; 0 where unknown."""
+    out = np.empty(P.shape[:2], np.float32)
+    in_row_blocks(lambda a, b: _rough_rows(a, b, P, N, f4(1 / focal_px), out), P.shape[0])
     return out

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Method = Literal["march", "rays"]
 METHODS = ("march", "rays")
-SIGMAS = 2.0  # standard deviations of the depth that a ray starts off it by
+SIGMAS = 2.0  # standard deviations of the depth that a ray starts off it by at most, as far as its neighbours are that rough
 REACH = 1.0  # tangent of a slope that any surface may have between two looks of the march
 BESIDE_PX = 4  # of matched depth: how far beside a nearer thing the ground is not to be trusted
 LEAST = 2e-5  # of the distance: float32 itself
@@ -121,8 +121,17 @@ class ShadowScene:
         lift = np.minimum(relief, pixel) + LEAST * self.Z
         if self.Z_sigma is not None:
             towards = np.abs((P * N).sum(axis=-1)) / self.Z  # a metre of Z is so much along N
-            lift = lift + np.float32(SIGMAS) * np.nan_to_num(self.Z_sigma) * towards
+            doubt = np.float32(SIGMAS) * np.nan_to_num(self.Z_sigma) * towards
+            lift = lift + np.minimum(doubt, self._roughness)
         return lift.astype(np.float32)
+
+    @cached_property
+    def _roughness(self) -> Float32:
+        """(H, W) metres: what of the depth's doubt can put a pixel into its own neighbours' shadow.  Matching errs by whole places, and
+        smoothly: its sigma alone would lift rays over shadows that are there."""
+        from stereorelight.engine.evening import roughness
+
+        return roughness(self.P, self.N, min(self.camera.fx, self.camera.fy))
 
     @cached_property
     def _embree(self) -> Any:
