@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from stereorelight.camera import Rig
-from stereorelight.synth.render import render
+from stereorelight.synth.render import Shot, render
 from stereorelight.synth.rigs import parallel_rig
 from stereorelight.synth.scene import Scene
 from stereorelight.synth.scenes import scene_named
@@ -38,17 +38,18 @@ class Hairy:
     N: np.ndarray
 
 
-def _defocused(a: np.ndarray) -> np.ndarray:
-    r = DEFOCUS_PX / 2
-    y, x = np.mgrid[-3:4, -3:4]
+def _defocused(a: np.ndarray, diameter_px: float) -> np.ndarray:
+    r = diameter_px / 2
+    reach = int(np.ceil(r + 0.5))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disc = np.clip(r + 0.5 - np.hypot(x, y), 0, 1)
     disc /= disc.sum()
     return ndimage.convolve(a, disc) if a.ndim == 2 else np.stack([ndimage.convolve(a[..., c], disc) for c in range(a.shape[2])], axis=-1)
 
 
-def _strands(size_hw: tuple[int, int], centre: np.ndarray, radius: float, shift_px: float) -> tuple[np.ndarray, np.ndarray]:
+def _strands(size_hw: tuple[int, int], centre: np.ndarray, radius: float, shift_px: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Cover (H, W) of strands 1 px wide that stand off the head, and the way outwards (H, W, 2), x right, y up."""
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(seed)
     y, x = np.mgrid[: size_hw[0], : size_hw[1]].astype(float)
     cover = np.zeros(size_hw)
     for _ in range(STRANDS):
@@ -64,13 +65,24 @@ def _strands(size_hw: tuple[int, int], centre: np.ndarray, radius: float, shift_
     return cover, out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-6)
 
 
-@lru_cache(maxsize=1)
-def hairy_bust(width: int = 480) -> Hairy:
+STATUE = ("head", "hair", "torso", "cloth", "eye_left", "eye_right")
+
+
+@lru_cache(maxsize=2)
+def _sharp(name: str, width: int) -> tuple[Rig, list[Shot]]:
+    """The figure in its room, and the room alone, sharp and evenly lit."""
     rig = parallel_rig((width, width * 9 // 16), fov_deg=26)
-    whole = replace(scene_named("bust"), ambient=(EVEN,) * 3)
-    room = Scene(name="room", objects=tuple(t for t in whole.objects if t.name not in BODY), ambient=(EVEN,) * 3)
-    shots = [render(scene, rig, lights=(), samples=1) for scene in (whole, room)]
-    body = [k for k, name in enumerate(shots[0].object_names) if name in BODY]
+    whole = replace(scene_named(name), ambient=(EVEN,) * 3)
+    figure = BODY if name == "bust" else STATUE
+    room = Scene(name="room", objects=tuple(t for t in whole.objects if t.name not in figure), ambient=(EVEN,) * 3)
+    return rig, [render(scene, rig, lights=(), samples=1) for scene in (whole, room)]
+
+
+@lru_cache(maxsize=2)
+def hairy_bust(width: int = 480, *, defocus_px: float = DEFOCUS_PX, seed: int = 7, scene: str = "bust") -> Hairy:
+    """defocus_px : diameter of the circle of confusion.   seed : of the strands.   scene : "bust" or "statue"."""
+    rig, shots = _sharp(scene, width)
+    body = [k for k, name in enumerate(shots[0].object_names) if name in BODY + STATUE]
     top = shots[0].object_names.index("hair")
     at = np.argwhere(shots[0].objects["left"] == top)
     centre = np.array([at[:, 1].mean(), at[:, 0].max() * 0.55 + at[:, 0].min() * 0.45])
@@ -80,7 +92,7 @@ def hairy_bust(width: int = 480) -> Hairy:
     for eye, shift in (("left", 0.0), ("right", rig.left.fx * rig.baseline_m / depth)):
         front, behind = shots[0].frame(eye), shots[1].frame(eye)  # type: ignore[arg-type]
         figure = np.isin(shots[0].objects[eye], body).astype(float)  # type: ignore[index]
-        strand, out = _strands(figure.shape, centre, radius, shift)
+        strand, out = _strands(figure.shape, centre, radius, shift, seed)
         strand = strand * (1 - figure)
         cover = figure + strand
         new = {k: AMBIENT + np.maximum(f["N"] @ NEW, 0)[..., None] for k, f in (("f", front), ("b", behind))}
@@ -90,9 +102,9 @@ def hairy_bust(width: int = 480) -> Hairy:
             (eye, front["albedo"] * EVEN, HAIR * EVEN, behind["albedo"] * EVEN),
             (f"relit_{eye}", front["albedo"] * new["f"], lit_strand, behind["albedo"] * new["b"]),
         ):
-            over = _defocused(figure[..., None] * on_figure + strand[..., None] * on_strand)
-            made[key] = (over + (1 - _defocused(cover))[..., None] * on_room).astype(np.float32)
-        made[f"alpha_{eye}"] = np.clip(_defocused(cover), 0, 1).astype(np.float32)
+            over = _defocused(figure[..., None] * on_figure + strand[..., None] * on_strand, defocus_px)
+            made[key] = (over + (1 - _defocused(cover, defocus_px))[..., None] * on_room).astype(np.float32)
+        made[f"alpha_{eye}"] = np.clip(_defocused(cover, defocus_px), 0, 1).astype(np.float32)
     left = shots[0].left
     return Hairy(
         rig=rig, left=made["left"], right=made["right"], alpha=made["alpha_left"], relit=made["relit_left"], P=left["P"], N=left["N"]

@@ -23,7 +23,9 @@ EDGE_PX, EXACT_PX = 8.0, 1.0  # windows of matching and of normals reach so far;
 NEAR_PX = 3.0  # colours of a side are those of its surroundings, so wide
 ALIKE = 0.02  # of the plate's square: colours nearer than that say nothing of cover
 REACH_PX = 20.0  # how far matching fattens
-EVEN_FORE_PX, EVEN_BACK_PX = 1.5, 4.0  # how widely normals are evened where they stand in for others
+EVEN_FORE_PX, EVEN_BACK_PX = (1.5,), (4.0,)  # how widely normals are evened where they stand in for others ...
+EVEN_UNSURE_BACK_PX = (4.0, 8.0, 16.0, 32.0)  # ... and of recovered ones, as far as it takes to find some that are sure
+SURE_DEG = 2.0  # normals are not told apart below this standard deviation
 UNSURE_DEG = 25.0  # standard deviation of a normal that is not taken for its surroundings
 GUESSED = int(Flag.FILLED | Flag.OCCLUDED | Flag.UNMATCHED)
 LEAN = (0.05, 0.25, 0.04)  # of a normal out of its outline: where roundness begins, over what it becomes whole, and how fast it must grow
@@ -76,7 +78,22 @@ def _not_its_own(passes: Mapping[str, npt.NDArray[Any]], own: Bool, inside: npt.
     return found
 
 
-def _extended(passes: Mapping[str, npt.NDArray[Any]], held: Bool, shows: Bool, even_px: float) -> dict[str, npt.NDArray[Any]]:
+def _evened(N: Float32, held: Bool, sigma_deg: npt.NDArray[np.floating] | None, widths_px: tuple[float, ...]) -> Float32:
+    """(H, W, 3) unit: the mean of `held` normals about each pixel, near ones first, and by the fourth power of how sure each is.
+
+    Ground beside an outline is bent by matching and says so in its sigma; what is sure may stand some way off."""
+    weight = held.astype(np.float32)
+    if sigma_deg is not None:
+        weight = weight / (np.nan_to_num(np.asarray(sigma_deg, np.float32), nan=90.0) ** 4 + np.float32(SURE_DEG**4))
+    weighed = np.where(held[..., None], N * weight[..., None], np.float32(0))
+    total = np.zeros_like(N)
+    for width in widths_px:  # each wider one counts less, and reaches where the others do not
+        total += np.stack([ndimage.gaussian_filter(weighed[..., c], width) for c in range(3)], axis=-1) / np.float32(width)
+    found: Float32 = total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-20)
+    return found
+
+
+def _extended(passes: Mapping[str, npt.NDArray[Any]], held: Bool, shows: Bool, widths_px: tuple[float, ...]) -> dict[str, npt.NDArray[Any]]:
     """`passes` with the geometry of the nearest `held` pixel where the side shows and is not held; N is that of its surroundings, evened."""
     at = tuple(ndimage.distance_transform_edt(~held, return_distances=False, return_indices=True))
     taken = shows & ~held
@@ -85,10 +102,7 @@ def _extended(passes: Mapping[str, npt.NDArray[Any]], held: Bool, shows: Bool, e
         if values.shape[:2] == held.shape:
             made[name] = np.where(taken if values.ndim == 2 else taken[..., None], values[at], values)
     N, P = np.asarray(passes["N"], np.float32), np.asarray(passes["P"], np.float32)
-    weight = held.astype(np.float32)
-    even = np.stack([ndimage.gaussian_filter(np.where(held, N[..., c], 0), even_px) for c in range(3)], axis=-1)
-    even = even / np.maximum(ndimage.gaussian_filter(weight, even_px), 1e-6)[..., None]
-    even = even / np.maximum(np.linalg.norm(even, axis=-1, keepdims=True), 1e-6)
+    even = _evened(N, held, passes.get("N_sigma"), widths_px)
     made["N"] = np.where(taken[..., None], even[at], N).astype(np.float32)
     # The pixel keeps its own ray where it has one, and takes the distance alone.
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -160,7 +174,8 @@ def parted(
         held = deep & known & ~_not_its_own(passes, own & known, sign * edge, sign)
         # Only where this side shows: elsewhere the picture's own geometry stays, which casts shadows.
         shows = ndimage.binary_dilation((cover if own is fore else 1 - cover) > 0)
-        made = _extended(passes, held if held.any() else own & known, shows, EVEN_FORE_PX if own is fore else EVEN_BACK_PX)
+        widths = EVEN_FORE_PX if own is fore else (EVEN_UNSURE_BACK_PX if "N_sigma" in passes else EVEN_BACK_PX)
+        made = _extended(passes, held if held.any() else own & known, shows, widths)
         if own is fore and unsure is None:
             made["N"] = _rounded(made["N"], cover, edge, held, ~held & shows, edge_px)
         geometry.append(made)
