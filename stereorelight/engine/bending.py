@@ -18,7 +18,7 @@ from numba import njit
 
 from stereorelight.arrays import Float32
 from stereorelight.engine.fastmath import kernel
-from stereorelight.engine.pyramid import ROWS, carried_up, halved, in_blocks
+from stereorelight.engine.pyramid import carried_up, halved, in_blocks
 
 f4 = np.float32
 LOOSER = 4  # how much larger a bend may be on a coarse grid before it counts as an edge: bends grow by 4 a level, steps do not
@@ -109,7 +109,7 @@ def _push(begin, end, beta, inverse, r, before, w, lx, ly, lxy, p, force, dots):
     if end == H:
         _back(H - 1, w, rows[(H - 1) % 4], ring, nothing, force[H - 1])
         _product_row(rows[(H - 1) % 4], force[H - 1], total)
-    dots[begin // ROWS] = _sum(total)
+    dots[begin] = _sum(total)
 
 
 @_leaf
@@ -145,7 +145,7 @@ def _begin(begin, end, d, u, pull, w, lx, ly, lxy, inverse, r, dots):
     if end == H:
         _back(H - 1, w, u[H - 1], ring, nothing, force)
         _left_row(pull[H - 1], force, inverse[H - 1], r[H - 1], total)
-    dots[begin // ROWS] = _sum(total)
+    dots[begin] = _sum(total)
 
 
 @_leaf
@@ -161,7 +161,7 @@ def _step(begin, end, alpha, p, force, inverse, u, r, dots):
     total = np.zeros(r.shape[1], np.float32)
     for y in range(begin, end):
         _step_row(alpha, p[y], force[y], inverse[y], u[y], r[y], total)
-    dots[begin // ROWS] = _sum(total)
+    dots[begin] = _sum(total)
 
 
 @_leaf
@@ -210,7 +210,7 @@ def _solved(d: Float32, weight: Float32, pull: Float32, stiff: Float32, u: Float
     """So many steps of conjugate gradients towards (weight + plate) u = pull - plate d; `u` is where to start, and is overwritten."""
     links = tuple(np.empty_like(d) for _ in range(3))
     inverse, r, p, before, force = (np.empty_like(d) for _ in range(5))
-    dots = np.zeros(-(-d.shape[0] // ROWS), np.float64)
+    dots = np.zeros(d.shape[0], np.float64)  # at the first row of each block
     in_blocks(lambda first, end: _links(first, end, d, stiff, f4(cut), *links), d)
     in_blocks(lambda first, end: _diagonal(first, end, weight, *links, inverse), d)
     in_blocks(lambda first, end: _begin(first, end, d, u, pull, weight, *links, inverse, r, dots), d)
