@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Float32
-from stereorelight.engine.fastmath import kernel
+from stereorelight.engine.fastmath import kernel, log2
 from stereorelight.engine.pyramid import carried_up, halved, in_blocks
 
 f4 = np.float32
@@ -266,26 +266,25 @@ def plate_correction(
     return u
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _energy_row(up, me, down, cut, floor, first, last, logs, counts):
+@_leaf
+def _energy_row(up, me, down, cut, floor, inner, logs, counts):
+    """`inner` : 0 on the first row and the last, where bends are not known."""
     W = me.size
-    for x in range(W):
-        logs[x], counts[x] = f4(0), f4(0)
-    if first or last:
-        return
     for x in range(1, W - 1):
         xx, yy = me[x - 1] - f4(2) * me[x] + me[x + 1], up[x] - f4(2) * me[x] + down[x]
         xy = me[x] - me[x + 1] - down[x] + down[x + 1]
-        if abs(xx) < cut and abs(yy) < cut and abs(xy) < cut:
-            logs[x] = np.log(xx * xx + f4(2) * xy * xy + yy * yy + floor)
-            counts[x] = f4(1)
+        known = inner if max(max(abs(xx), abs(yy)), abs(xy)) < cut else f4(0)
+        logs[x] = known * f4(np.log(2)) * log2(xx * xx + f4(2) * xy * xy + yy * yy + floor)
+        counts[x] = known
+    for x in (0, W - 1):
+        logs[x], counts[x] = f4(0), f4(0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _energy(begin, end, d, cut, floor, logs, counts):
     H = d.shape[0]
     for y in range(begin, end):
-        _energy_row(d[max(y - 1, 0)], d[y], d[min(y + 1, H - 1)], cut, floor, y == 0, y == H - 1, logs[y], counts[y])
+        _energy_row(d[max(y - 1, 0)], d[y], d[min(y + 1, H - 1)], cut, floor, f4(0 < y < H - 1), logs[y], counts[y])
 
 
 def bend_energy(d: Float32, *, cut: float, floor: float = 1e-10) -> tuple[Float32, Float32]:

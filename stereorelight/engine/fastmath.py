@@ -80,6 +80,17 @@ def exp2(y):
     return p * float_of((i4(r) + i4(127)) << i4(23))
 
 
+@kernel(inline="always", fastmath=False)
+def log2(x):
+    """log2 of a positive, normal number."""
+    i = bits_of(x)
+    e = (i - i4(0x3F3504F3)) >> i4(23)
+    m = float_of(i - (e << i4(23)))
+    s = (m - f4(1)) / (m + f4(1))
+    q = s * s
+    return s * (f4(2.885390082) + q * (f4(0.961796694) + q * (f4(0.577078016) + q * (f4(0.412198583) + q * f4(0.320598898))))) + f4(e)
+
+
 @kernel(inline="always")
 def log2_below_one(h):
     """log2(1 - h) for h < 1, exact in the last bits for small h, where 1 - h has lost them."""

@@ -76,16 +76,22 @@ def _double_row(near, far, own, other, lean, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _double(begin, end, a, lean, out):
+def _doubled_row(a, y, lean, out):
+    """Row y of a map of twice the size."""
     h = a.shape[0]
+    near = y // 2
+    far = near + 1 if y % 2 else near - 1
+    if 0 <= far < h:
+        _double_row(a[near], a[far], f4(0.75), f4(0.25), lean, out)
+    else:  # beyond the ends: 1.25 of the last row less 0.25 of the one before it
+        inner = min(max(2 * near - far, 0), h - 1)
+        _double_row(a[near], a[inner], f4(1) + f4(0.25) * lean, f4(-0.25) * lean, lean, out)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _double(begin, end, a, lean, out):
     for y in range(begin, end):
-        near = y // 2
-        far = near + 1 if y % 2 else near - 1
-        if 0 <= far < h:
-            _double_row(a[near], a[far], f4(0.75), f4(0.25), lean, out[y])
-        else:  # beyond the ends: 1.25 of the last row less 0.25 of the one before it
-            inner = min(max(2 * near - far, 0), h - 1)
-            _double_row(a[near], a[inner], f4(1) + f4(0.25) * lean, f4(-0.25) * lean, lean, out[y])
+        _doubled_row(a, y, lean, out[y])
 
 
 def doubled(a: Float32, shape: tuple[int, int], *, surface: bool = False) -> Float32:
@@ -103,14 +109,17 @@ def _start_row(surface, correction, d, apart, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _start(begin, end, surface, correction, d, apart, out):
+def _carry(begin, end, surface, correction, d, apart, out):
+    smooth, moved = np.empty(d.shape[1], np.float32), np.empty(d.shape[1], np.float32)
     for y in range(begin, end):
-        _start_row(surface[y], correction[y], d[y], apart, out[y])
+        _doubled_row(surface, y, f4(1), smooth)
+        _doubled_row(correction, y, f4(0), moved)
+        _start_row(smooth, moved, d[y], apart, out[y])
 
 
 def carried_up(coarse: Float32, correction: Float32, d: Float32, apart: float) -> Float32:
     """Where to start on a finer grid: the coarse surface itself where it is this pixel's surface, else its correction."""
     out = np.empty_like(d)
-    surface, moved = doubled(coarse + correction, d.shape, surface=True), doubled(correction, d.shape)
-    in_blocks(lambda begin, end: _start(begin, end, surface, moved, d, f4(apart), out), d)
+    surface = coarse + correction
+    in_blocks(lambda begin, end: _carry(begin, end, surface, correction, d, f4(apart), out), d)
     return out

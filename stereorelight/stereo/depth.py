@@ -15,13 +15,14 @@ from stereorelight.camera import Eye
 from stereorelight.engine.distance import distances
 from stereorelight.engine.occlusion import consistent
 from stereorelight.engine.resample import on_planes
+from stereorelight.engine.rows import at_once
 from stereorelight.errors import PlateError
 from stereorelight.passes import Flag, Frame
 from stereorelight.stereo import confidence as belief
 from stereorelight.stereo.colour_match import ColourMatch
 from stereorelight.stereo.colour_match import match_colour as colour_matched
 from stereorelight.stereo.draft import full_size, half_range
-from stereorelight.stereo.flow import flow_disparity
+from stereorelight.stereo.flow import FlowMatch, flow_disparity
 from stereorelight.stereo.halves import half_proxy, nearest
 from stereorelight.stereo.match import DisparityRange, Match, coarse_disparity, match, search_range
 from stereorelight.stereo.matchers import OWN, match_by, matcher_named
@@ -73,7 +74,7 @@ def _matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> M
 def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> RectifiedDepth:
     """All of it at half size, the disparity carried up with the picture's edges."""
     small = half_proxy(proxy)
-    depth = _of_pair(small, half_range(search), replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX)))
+    depth = _of_pair(small, half_range(search), replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX)), None)
     size = proxy.left_grey.shape
     return RectifiedDepth(
         refined=full_size(depth.refined, proxy),
@@ -83,17 +84,16 @@ def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> Rec
     )
 
 
-def disparity_of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> RectifiedDepth:
-    """Match, check, refine and judge the left eye of a rectified pair."""
+def disparity_of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None) -> RectifiedDepth:
+    """Match, check, refine and judge the left eye of a rectified pair; `flow` is the second opinion, None in a draft."""
     small = min(proxy.left_grey.shape) < 2 * DRAFT_SMALLEST_PX
-    return _of_pair(proxy, search, settings) if settings.quality != "draft" or small else _draft(proxy, search, settings)
+    return _of_pair(proxy, search, settings, flow) if settings.quality != "draft" or small else _draft(proxy, search, settings)
 
 
-def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> RectifiedDepth:
+def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None) -> RectifiedDepth:
     """Match, check, refine and judge the left eye of a rectified pair."""
     found = _matched(proxy, search, settings)
     confirmed = consistent(found.left, found.right, within_px=settings.consistency_px)
-    flow = None if settings.quality == "draft" else flow_disparity(proxy)
     dense, known = found.dense, np.isfinite(found.left)
     if flow is not None:
         # Where matching found nothing and flow, sure of itself, stays near the value beside it, flow fills.
@@ -172,15 +172,25 @@ def recover(
     views = rectification.rectify(left, "left"), rectification.rectify(right, "right")
     proxy = matching_proxy(*views)
     rig = rectification.rig
-    search = search_range(proxy, rig, near_m=settings.near_m, far_m=settings.far_m)
+
+    def opinion() -> FlowMatch | None:
+        return None if settings.quality == "draft" else flow_disparity(proxy if eye == "left" else proxy.flipped())
+
+    search, flow = at_once(
+        lambda: search_range(proxy, rig, near_m=settings.near_m, far_m=settings.far_m), lambda: opinion() if match_colour == "off" else None
+    )
     colour = None
     if match_colour != "off":
         mended, colour = colour_matched(*views, mode=match_colour, disparity=coarse_disparity(proxy, search))
         proxy = matching_proxy(views[0], mended)
+        flow = opinion()
     if search.count > proxy.left.shape[1]:
         wide = proxy.left.shape[1]
         raise PlateError(f"disparities {search.low} to {search.high} px do not fit plates {wide} px wide; check near_m and far_m against the rig")
-    depth = disparity_of_pair(proxy, search, settings) if eye == "left" else _flipped(disparity_of_pair(proxy.flipped(), search, settings))
+    if eye == "left":
+        depth = disparity_of_pair(proxy, search, settings, flow)
+    else:
+        depth = _flipped(disparity_of_pair(proxy.flipped(), search, settings, flow))
     rectified = Frame(
         passes={
             "disparity": depth.refined.disparity,
