@@ -100,7 +100,7 @@ def test_frames_are_pooled_by_colour_and_by_what_turns() -> None:
     def frame(share: float, wall_share: float) -> Judged:
         return Judged(
             colours=np.array([[0.4, -0.2], [0.42, -0.22], [-0.3, 0.3]]), size=np.array([0.2, 0.4, 0.1]), share=np.array([share, wall_share, 0.9]),
-            gain=np.array([3.0, 3.0, 3.0]), turns=np.array([30.0, 5.0, 30.0]),
+            gain=np.array([3.0, 3.0, 3.0]), turns=np.array([30.0, 5.0, 30.0]), patches=np.array([20.0, 20.0, 20.0]),
         )  # fmt: skip
 
     shot = pooled([frame(0.7, 0.0), frame(0.3, 0.0), frame(0.7, 0.0)])

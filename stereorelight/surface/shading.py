@@ -100,7 +100,7 @@ def _at_pixels(level: Level, state: State, trust: Float64) -> tuple[Float32, Flo
     near = ndimage.uniform_filter(share, 11, mode="nearest") * np.isfinite(N[..., 0])
     whole = ndimage.uniform_filter(level.okc, 5, mode="nearest")
     t = np.clip((near - f4(0.15)) / f4(0.4), 0, 1) * np.clip((whole - f4(0.4)) / f4(0.3), 0, 1)
-    return N, t * t * (3 - 2 * t)
+    return N, t * t * (3 - 2 * t) * level.clear
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

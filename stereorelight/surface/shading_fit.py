@@ -125,7 +125,7 @@ def solved(
     variance, same = _grain(level, cells, L, slow_px) if shines else (np.ones(shape, np.float32), zero)
     table = light.coefficients.astype(np.float32) if light.coefficients.size else np.zeros((1, 9), np.float32)
     floor = light.floor.astype(np.float32) if light.floor.size else np.ones(1, np.float32)
-    weight, left, gu, gv, one = inside, zero, zero, zero, np.ones(shape, np.float32)
+    weight, left, gu, gv = inside, zero, zero, zero
     slopes = (free * level.focal) ** 2
     believed = level.okc * f4(slopes) / np.maximum(level.turned, f4(1e-9))
     for _ in range(rounds):
@@ -135,14 +135,21 @@ def solved(
             e = (L - logS) * inside
             left = (e - around(e, weight, slow_px)) * inside
             weight = inside * same / (1 + left * left / (f4(TRUST**2) * variance)) ** 2
-            ws = weight * believed_in * (f4(strength * strength * free * free) / variance)
+            ws = weight * level.clear * believed_in * (f4(strength * strength * free * free) / variance)
         wx, wy, wc = engine.bend_weights(v, level.okx, level.oky, level.okc, free=2 * free)
         off = v - level.v
         data: Float32 = (precision * f4(free * free) / (1 + off * off / (9 * level.variance))).astype(np.float32)
-        away = (_along(v, one, zero) - level.du) ** 2 + (_along(v, zero, one) - level.dv) ** 2
-        turn = believed / (1 + away * f4(level.focal**2) / (9 * level.turned + f4(1e-12)))
         A, rhs = engine.assemble(
-            data=data, pull=level.v, shading=ws, left=left + _along(v, gu, gv), gu=gu, gv=gv, turn=turn, du=level.du, dv=level.dv, bends=(wx, wy, wc)
+            data=data,
+            pull=level.v,
+            shading=ws,
+            left=left + _along(v, gu, gv),
+            gu=gu,
+            gv=gv,
+            turn=believed,
+            du=level.du,
+            dv=level.dv,
+            bends=(wx, wy, wc),
         )
         v = v + engine.solve(A, engine.rest(A, rhs, v), steps=steps)
     _, gu, gv, N = engine.shade(v, level.rays, cells, table, floor)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,8 @@ STEEPEST = 5.0  # slope beyond which neighbouring pixels are of two surfaces (79
 EDGE_SIGMAS = 3.0  # and what noise may add to it
 CORRELATED_PX = 22.0  # distance over which errors of a disparity become others: measured, see docs/shading.md
 LEAST_N_SIGMA = 0.5  # degrees
+OUTLINE_SHARE = 1 / 320  # of the width: over so much to either side ...
+OUTLINE_STEEP = 2.5  # ... no surface falls so steeply (68 deg): an outline, where shading is farther off than disparity
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,6 +62,16 @@ class Level:
     oky: Float32
     okc: Float32
     broken: Bool
+
+    @cached_property
+    def clear(self) -> Float32:
+        """0 on depth edges to 1 well away from them: outlines are dark or rim-lit for reasons of their own, and mixed with what lies behind."""
+        r = max(round(OUTLINE_SHARE * self.v.shape[1]), 1)
+        fall = ndimage.maximum_filter(self.v, 2 * r + 1) - ndimage.minimum_filter(self.v, 2 * r + 1)
+        edge = fall * f4(self.focal / (2 * r + 1)) > OUTLINE_STEEP
+        far = ndimage.distance_transform_edt(~edge) if edge.any() else np.full(edge.shape, r)
+        t = np.clip(far / r, 0, 1).astype(np.float32)
+        return t * t * (3 - 2 * t)
 
     @property
     def cells(self) -> Labels:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from stereorelight.arrays import Float64
-from stereorelight.surface.plate_light import APART, Labels
+from stereorelight.surface.plate_light import APART, HELD_OUT_BLOCK, WORK_WIDTH, Labels
 from stereorelight.surface.shading_fit import GRAIN, State, lit_by, rising
 from stereorelight.surface.shading_levels import Level, cells_of
 
@@ -24,6 +24,7 @@ MUCH_GAIN = (8.0, 2.5)  # ... knows so much less than shading would
 HALF_SURE = 0.08  # of that share, to either side of the least: in between a material is shaded in part, so that frames do not jump
 LEAST_TURN_DEG = (15.0, 20.0)  # median angle of normals to their mean: flat but for noise, and surely not flat
 LEAST_GAIN = (0.5, 0.7)  # error of the given normals over that of shading's: of no use, and of use
+LEAST_PATCHES = (6.0, 12.0)  # that differ by more than chance, about the nine numbers of a light that is to be told from them
 MOST_SENSITIVE = 0.9  # change of log brightness per radian: more than light on matter does
 
 
@@ -46,6 +47,7 @@ class Judged:
     colours : log chromaticity.           size : share of the frame.
     share   : of its brightness that normals from disparity alone explain, or its own light where that explains less.
     gain    : error of the given normals over that of shading's.   turns : median angle of its normals to their mean, degrees.
+    patches : of its ground that are each as wide as what noise and grain share.
     """
 
     colours: Float64
@@ -53,6 +55,7 @@ class Judged:
     share: Float64
     gain: Float64
     turns: Float64
+    patches: Float64
 
     @property
     def turning(self) -> Float64:
@@ -62,7 +65,7 @@ class Judged:
     @property
     def trust(self) -> Float64:
         """How far each material's shading is trusted, by this frame alone."""
-        return _trust(self.share, self.gain) * self.turning
+        return _trust(self.share, self.gain, self.patches) * self.turning
 
     def trust_by(self, shot: ShotMaterials) -> Float64:
         """The same by the whole shot; a colour that the shot does not know is left to disparity."""
@@ -73,9 +76,9 @@ class Judged:
         return np.where(known, shot.trust[apart.argmin(axis=1)], 0.0) * self.turning
 
 
-def _trust(share: Float64, gain: Float64) -> Float64:
+def _trust(share: Float64, gain: Float64, patches: Float64) -> Float64:
     needed = np.interp(gain, MUCH_GAIN[::-1], LEAST_SHARE[::-1])
-    trust: Float64 = rising(share - needed, -HALF_SURE, HALF_SURE) * rising(gain, *LEAST_GAIN)
+    trust: Float64 = rising(share - needed, -HALF_SURE, HALF_SURE) * rising(gain, *LEAST_GAIN) * rising(patches, *LEAST_PATCHES)
     return trust
 
 
@@ -88,6 +91,7 @@ def sizes_of(labels: Labels, count: int) -> Float64:
 def judged(level: Level, lit: State, plain: State) -> Judged:
     """Three questions: do normals from disparity alone explain the brightness (else it is paint); do they turn at all (else the material
     is flat, and all its brightness is paint); does shading, as far as its light fits, know normals better than disparity does?
+    And is there enough of it to tell a light by.
 
     lit, plain : the level solved with shading and without.
     """
@@ -105,12 +109,15 @@ def judged(level: Level, lit: State, plain: State) -> Judged:
         sense = min(float(np.median(sensitivity[here])), MOST_SENSITIVE)
         gain[k] = math.sqrt(float(np.median(level.turned[here]))) * sense / max(float(lit.light.residual[k]), GRAIN)
     share = np.minimum(explained, lit.light.explained)
-    return Judged(colours=level.colours, size=sizes_of(level.labels, count), share=share, gain=gain, turns=turns)
+    size = sizes_of(level.labels, count)
+    patches = size * WORK_WIDTH**2 * (level.v.shape[0] / level.v.shape[1]) / HELD_OUT_BLOCK**2
+    return Judged(colours=level.colours, size=size, share=share, gain=gain, turns=turns, patches=patches)
 
 
 def pooled(frames: Sequence[Judged]) -> ShotMaterials:
     """What frames spread over a shot say together: share and gain of what is of one colour and turns, each frame's by its size there."""
-    rows = np.array([(*f.colours[k], f.size[k], f.turning[k], f.share[k], f.gain[k]) for f in frames for k in range(len(f.size))]).reshape(-1, 6)
+    told = [(*f.colours[k], f.size[k], f.turning[k], f.share[k], f.gain[k], f.patches[k]) for f in frames for k in range(len(f.size))]
+    rows = np.array(told).reshape(-1, 7)
     rows = rows[np.argsort(-rows[:, 2], kind="stable")]
     colours, trust = [], []
     while len(rows):
@@ -118,7 +125,7 @@ def pooled(frames: Sequence[Judged]) -> ShotMaterials:
         its = rows[alike]
         colours.append(np.average(its[:, :2], axis=0, weights=its[:, 2]))
         weight = its[:, 2] * its[:, 3]
-        share, gain = (float((weight * its[:, k]).sum() / max(weight.sum(), 1e-12)) for k in (4, 5))
-        trust.append(float(_trust(np.array([share]), np.array([gain]))[0]) if weight.any() else 0.0)
+        means = (weight @ its[:, 4:] / max(weight.sum(), 1e-12))[:, None]
+        trust.append(float(_trust(*means)[0]) if weight.any() else 0.0)
         rows = rows[~alike]
     return ShotMaterials(colours=np.array(colours).reshape(-1, 2), trust=np.array(trust))
