@@ -127,7 +127,7 @@ def solved(
     floor = light.floor.astype(np.float32) if light.floor.size else np.ones(1, np.float32)
     weight, left, gu, gv = inside, zero, zero, zero
     slopes = (free * level.focal) ** 2
-    believed = level.okc * f4(slopes) / np.maximum(level.turned, f4(1e-9))
+    believed: Float32 = (level.okc * f4(slopes) / np.maximum(level.turned, f4(1e-9))).astype(np.float32)
     for _ in range(rounds):
         ws = zero
         if shines:
