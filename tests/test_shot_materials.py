@@ -3,28 +3,36 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
+from stereorelight.compare.flicker import residual
+from stereorelight.compare.normals import angle_deg
 from stereorelight.footage.frames import read_frame
 from stereorelight.footage.stills import write_still
 from stereorelight.passes import Flag
+from stereorelight.shot.depths import surface_of
+from stereorelight.shot.job import MATCH_NOISE_PX
 from stereorelight.shot.materials import FRAMES
 from stereorelight.shot.run import run_shot
 from stereorelight.shot.synthetic import write_shot
 from stereorelight.surface.shading_trust import Judged, ShotMaterials, pooled
+from stereorelight.synth.rigs import parallel_rig
 
 MATTE = '\n[[repairs]]\nname = "corner"\nkind = "constant"\nmatte = "corner.png"\ndistance_m = 2.4\n'
 NUMBERS = range(1001, 1008)
+SIZE, FOV_DEG = (192, 108), 36.0
 
 
 @pytest.fixture(scope="module")
 def plain_ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Seven frames of a plain ball that moves, a corner of its wall held by a matte, lit by its own light's albedo; run once as a whole."""
     folder = tmp_path_factory.mktemp("ball")
-    write_shot(folder, "sphere", size=(192, 108), fov_deg=36.0, samples=1, frames=7, noise_sigma=0.004, texture=0.15)
+    write_shot(folder, "sphere", size=SIZE, fov_deg=FOV_DEG, samples=1, frames=7, noise_sigma=0.004, texture=0.1)
     text = (folder / "shot.toml").read_text().partition("[[lights]]")[0].replace("previews = true", "previews = false")
     matte = np.zeros((108, 192, 3), np.uint8)
     matte[:30, :30] = 255
@@ -54,6 +62,31 @@ def test_every_frame_trusts_the_ball_alike(plain_ball: Path) -> None:
     assert trusts == pytest.approx([round(max(found["trust"]), 2)] * len(trusts), abs=1e-9)
     explained = [max(m["explained"] for m in told(plain_ball, n)["materials"]) for n in NUMBERS]
     assert np.ptp(explained) > 0.005  # by itself, each frame would have said something else
+
+
+def test_normals_are_better_and_no_less_steady(plain_ball: Path) -> None:
+    """Over the ball, against its truth and along its true motion: shading and steadied depth against steadied depth alone."""
+    truth = [read_frame(plain_ball / "truth" / f"sphere.{n}.exr") for n in NUMBERS]
+    depths, shaded = ([read_frame(plain_ball / "out" / what / f"sphere.{n}.exr") for n in NUMBERS] for what in ("depth", "passes"))
+    camera = parallel_rig(SIZE, fov_deg=FOV_DEG).left
+    noise = MATCH_NOISE_PX / (camera.fx * 0.065)
+    given = [surface_of(replace(depth, camera=camera), noise_per_m=noise)["N"] for depth in depths]
+    balls = [ndimage.binary_erosion(frame["Z"] < 2, iterations=6) for frame in truth]
+    errors, steps = {}, {}
+    for name, normals in (("given", given), ("shaded", [frame["N"] for frame in shaded])):
+        errors[name] = np.median(np.concatenate([angle_deg(N, t["N"])[ball] for N, t, ball in zip(normals, truth, balls, strict=True)]))
+        found = []
+        for k in range(len(truth) - 1):
+            motion = np.zeros((*SIZE[::-1], 2), np.float32)
+            motion[..., 0] = camera.fx * 0.005 / truth[k]["Z"]  # it moves by 5 mm a frame
+            motion[~balls[k]] = np.nan
+            pairs = [(truth[i]["Z"], truth[i]["N"]) for i in (k, k + 1)]
+            turned = residual((depths[k]["Z"], normals[k]), (depths[k + 1]["Z"], normals[k + 1]), motion, truth=(pairs[0], pairs[1]))[1]
+            assert turned is not None
+            found.append(turned[balls[k] & np.isfinite(turned)])
+        steps[name] = np.concatenate(found).mean()
+    assert errors["shaded"] < 0.87 * errors["given"]
+    assert steps["shaded"] < steps["given"]
 
 
 @pytest.mark.parametrize("length", [1, 3])

@@ -151,6 +151,15 @@ def test_key_lines_see_tables_arrays_and_comments() -> None:
 
 
 @pytest.mark.parametrize(
+    ("quality", "surface", "shades"),
+    [("fine", "", True), ("standard", "", False), ("draft", "", False), ("standard", 'shading = "on"', True), ("fine", 'shading = "off"', False)]
+    + [("fine", 'method = "difference"', False)],
+)
+def test_shading_comes_with_fine_depth(tmp_path: Path, quality: str, surface: str, shades: bool) -> None:
+    assert read_shot(shot(tmp_path, f'{SMALLEST}\n[depth]\nquality = "{quality}"\n[surface]\n{surface}\n')).shades == shades
+
+
+@pytest.mark.parametrize(
     ("told", "shading", "strength"), [('"on"', "on", 1.0), ('"off"', "off", 1.0), ("0.5", "on", 0.5), ("0", "off", 1.0), ("2", "on", 2.0)]
 )
 def test_shading_is_a_word_or_a_strength(tmp_path: Path, told: str, shading: str, strength: float) -> None:

@@ -80,7 +80,7 @@ class Prepared:
 
         The frames that judge do it each by itself: matched, not steadied, and without repairs, which costs a fifth and comes to the same.
         """
-        if self.shot.tables.surface.shading == "off":
+        if not self.shot.shades:
             return None
         tables, numbers = self.shot.tables, spread_over(self.shot, self.eyes)
         settings = [tables.depth.model_dump(), tables.surface.model_dump(), tables.plates.match_colour, matcher_key(self.shot), colour_key(self.shot)]

@@ -142,12 +142,6 @@ class FrameJob:
         return replace(read_frame(self.depth_path, colour=self.shot.colour), camera=self.camera)
 
     @property
-    def shades(self) -> bool:
-        """Whether shading has a say in its normals."""
-        told = self.shot.tables.surface
-        return told.shading == "on" and told.method == "plane"
-
-    @property
     def _shading(self) -> dict[str, Any]:
         quality: Literal["standard", "fine"] = "fine" if self.shot.depth.quality == "fine" else "standard"
         return {"strength": self.shot.tables.surface.shading_strength, "quality": quality}
@@ -165,7 +159,7 @@ class FrameJob:
     def made_surface(self) -> Frame:
         """Z, P and N, made now."""
         frame = self._fitted()
-        if self.shades:
+        if self.shot.shades:
             materials = None if self.materials is None else self.materials.found
             frame, self.shading_figures = shaded(frame, self.depth, self.plate, **self._shading, materials=materials)
         frame = replace(frame, number=self.pair.number, metadata=self.words("passes"))

@@ -82,7 +82,7 @@ class DepthTable(Table):
 
 class SurfaceTable(Table):
     method: Literal["plane", "difference"] = "plane"
-    shading: Literal["off", "on"] = "off"
+    shading: Literal["auto", "off", "on"] = "auto"
     shading_strength: float = Field(default=1.0, gt=0, le=4)
 
     @model_validator(mode="before")
@@ -175,6 +175,12 @@ class Shot:
     def resolved(self, text: str) -> Path:
         """`text` as a path from the shot file's folder."""
         return self.path.parent / text
+
+    @property
+    def shades(self) -> bool:
+        """Whether the plate's shading has a say in normals: as the file says, else where depth is `fine`."""
+        told = self.tables.surface
+        return told.method == "plane" and (told.shading == "on" or (told.shading == "auto" and self.depth.quality == "fine"))
 
     @property
     def folder(self) -> Path:

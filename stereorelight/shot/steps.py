@@ -38,7 +38,7 @@ def view_key(shot: Shot) -> list[str | None]:
 
 def shading_key(shot: Shot) -> list[Any] | None:
     """What shading reads beyond the depth; None where it is off."""
-    return [colour_key(shot), shot.depth.quality] if shot.tables.surface.shading == "on" else None
+    return [colour_key(shot), shot.depth.quality] if shot.shades else None
 
 
 def matcher_key(shot: Shot) -> str | None:
@@ -164,7 +164,7 @@ STEPS: tuple[Step, ...] = (
         after=("depth",),
         rooms=("surface", "footage", "engine", "shot/job.py", "shot/materials.py"),
         settings=lambda shot: [shot.tables.surface.model_dump(), shading_key(shot)],
-        inputs=lambda job: job.materials.key if job.shades and job.materials is not None else None,
+        inputs=lambda job: job.materials.key if job.shot.shades and job.materials is not None else None,
         files=lambda job: [job.passes_path],
         make=_make_passes,
     ),
