@@ -141,6 +141,8 @@ def test_frames_are_pooled_by_colour_and_by_what_turns() -> None:
     assert 0 < shot.trust[face] < 1  # between what its frames say, and a wall of its colour that does not turn says nothing
     assert shot.trust[other] == 1
     np.testing.assert_array_equal(frame(0.3, 0.9).trust_by(shot), [shot.trust[face], 0, 1])  # the wall stays as it was
+    few = replace(frame(0.7, 0.7), patches=np.array([5.0, 9.0, 20.0]), turns=np.full(3, 30.0))
+    assert few.trust[0] == 0 < few.trust[1] < few.trust[2]  # nine numbers of a light are not told by five patches
     far = ShotMaterials(colours=np.array([[3.0, 3.0]]), trust=np.ones(1))
     assert not frame(0.7, 0.7).trust_by(far).any()
     assert not frame(0.7, 0.7).trust_by(pooled([])).any()

@@ -249,6 +249,24 @@ def test_depth_and_normals_are_one_surface(cloth: Cloth) -> None:
     assert np.median(angle_deg(of_given, found.N)[inner]) > 6  # else the first line says nothing
 
 
+def test_outlines_are_left_to_disparity() -> None:
+    """The cloth cut out before a wall 30 cm behind it: beside the cut, whether sharp or a slope of 5 px, normals are what they were."""
+    from scipy import ndimage
+
+    Z, N = waves()
+    inside = np.zeros(Z.shape, bool)
+    inside[20:-20, 40:-40] = True
+    coarse = np.where(inside, matched(Z), 1.4).astype(np.float32)
+    slope = (1 / ndimage.uniform_filter(1 / coarse.astype(np.float64), 5)).astype(np.float32)
+    plate = np.where(inside[..., None], lit(N, CLOTH), np.float32(0.3)).astype(np.float32)
+    cut = ndimage.binary_dilation(inside) & ~ndimage.binary_erosion(inside)
+    for depth in (coarse, slope):
+        given, _ = normals_and_sigma(depth, CAMERA)
+        found = refine_by_shading(plate, depth, CAMERA, Z_sigma=sigma_m(depth), N=given, N_sigma=np.full(Z.shape, NORMALS_DEG, np.float32))
+        assert found.weight[60:120, 80:160].mean() > 0.8
+        np.testing.assert_array_equal(found.N[cut], given[cut])
+
+
 def fair(albedo: Floats, noise_px: float, shade: float = 1.0) -> tuple[float, float]:
     """Median error of normals as given and with shading, of a cloth of this albedo (H, W), all errors told as they are."""
     Z, N = waves()

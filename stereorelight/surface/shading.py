@@ -256,9 +256,9 @@ def _refined(given: _Given, strength: float, effort: Effort, materials: ShotMate
         )  # fmt: skip
     N, share = _at_pixels(levels[0], state, trust)
     share = np.where(given.known, share, f4(0))
-    mixed = given.N + share[..., None] * (np.where(share[..., None] > 0, N, 0) - given.N)
-    mixed = np.where(np.isfinite(given.N[..., :1]), mixed, np.where(share[..., None] > 0, N, np.nan))
-    mixed = (mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)).astype(np.float32)
+    blend = given.N + share[..., None] * (np.where(share[..., None] > 0, N, 0) - given.N)
+    blend = np.where(np.isfinite(given.N[..., :1]), blend, N)
+    mixed: Float32 = np.where(share[..., None] > 0, blend / np.linalg.norm(blend, axis=-1, keepdims=True), given.N).astype(np.float32)
     Z_new = np.where(share > 0, given.Z * np.exp(share * (given.v - state.v)), given.Z).astype(np.float32)
     own = _doubt(levels[0], state, mixed, given.N, share)
     own = np.where(np.isfinite(given.N_sigma), given.N_sigma + share * (own - given.N_sigma), np.where(share > 0, own, np.nan)).astype(np.float32)
