@@ -39,14 +39,18 @@ def _census_part(row, other, alike, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _census(first, end, wide, alike, out):
-    W = out.shape[1]
+def _census(first, end, grey, alike, out):
+    H, W = out.shape
+    wide = np.empty((2 * REACH + 1, W + 2 * REACH), np.float32)  # the rows about one, the border repeated
     for y in range(first, end):
+        for j in range(2 * REACH + 1):
+            row = grey[min(max(y + j - REACH, 0), H - 1)]
+            wide[j, :REACH], wide[j, REACH : REACH + W], wide[j, REACH + W :] = row[0], row, row[W - 1]
         out[y] = np.uint64(0)
         for j in range(2 * REACH + 1):
             for i in range(2 * REACH + 1):
                 if i != REACH or j != REACH:
-                    _census_part(wide[y + REACH, REACH : REACH + W], wide[y + j, i : i + W], alike, out[y])
+                    _census_part(wide[REACH, REACH : REACH + W], wide[j, i : i + W], alike, out[y])
 
 
 def census(grey: Float32, *, alike: float) -> npt.NDArray[np.uint64]:
@@ -55,8 +59,7 @@ def census(grey: Float32, *, alike: float) -> npt.NDArray[np.uint64]:
     The bits that differ between two such words are the steps that the answers are apart.
     """
     out = np.empty(grey.shape, np.uint64)
-    wide = np.pad(grey, REACH, mode="edge")
-    in_row_blocks(lambda a, b: _census(a, b, wide, f4(alike), out), grey.shape[0])
+    in_row_blocks(lambda a, b: _census(a, b, grey, f4(alike), out), grey.shape[0])
     return out
 
 
@@ -125,26 +128,26 @@ def _columns(begin, end, turn, weight, inverse, cost, top, index, keep, best, be
     for block in range(2 * begin + turn, 2 * end + turn, 2):
         first = block * CHUNK
         columns = min(CHUNK, W - first)
+        part = slice(first, first + columns)
         for y in range(H):
+            share, start, at = weight[y, part], (y * W + first) * CHUNK, y * CHUNK * CHUNK
             for i in range(columns):
-                at = (y * CHUNK + i) * CHUNK
-                forth_whole(flat, (y * W + first + i) * CHUNK, weight[y, first + i], front, at, at + CHUNK * CHUNK)
+                forth_whole(flat, start + i * CHUNK, share[i], front, at + i * CHUNK, at + (CHUNK + i) * CHUNK)
         ahead[:] = f4(0)
         for y in range(H - 1, -1, -1):
-            mine = best[y]
+            share, worth, start, at = weight[y, part], inverse[y, part], (y * W + first) * CHUNK, (y + 1) * CHUNK * CHUNK
+            mine, less, more, before = best[y, part], below[y, part], above[y, part], last[y, part]
             for i in range(columns):
-                x = first + i
-                at = ((y + 1) * CHUNK + i) * CHUNK
-                back_whole(flat, (y * W + x) * CHUNK, weight[y, x], inverse[y, x], front, at, ahead, i * CHUNK, c, 0)
+                back_whole(flat, start + i * CHUNK, share[i], worth[i], front, at + i * CHUNK, ahead, i * CHUNK, c, 0)
                 lowest = least(c, 0, keep, i4(index), said, i * (2 * CHUNK + 1))
-                if mine[x] & ~keep == index - 1:  # the best of all so far was the last of the chunk before
-                    below[y, x] = c[0]
-                if lowest < mine[x]:
-                    mine[x] = lowest
+                if mine[i] & ~keep == index - 1:  # the best of all so far was the last of the chunk before
+                    less[i] = c[0]
+                if lowest < mine[i]:
+                    mine[i] = lowest
                     k = (lowest & ~keep) - index
-                    above[y, x] = c[k - 1] if k > 0 else last[y, x]
-                    below[y, x] = c[k + 1] if k < CHUNK - 1 else f4(np.inf)
-                last[y, x] = c[CHUNK - 1]
+                    more[i] = c[k - 1] if k > 0 else before[i]
+                    less[i] = c[k + 1] if k < CHUNK - 1 else f4(np.inf)
+                before[i] = c[CHUNK - 1]
             least_said[:] = FAR
             for i in range(columns):
                 take_less(said, i * 2 * CHUNK, least_said, 0)

@@ -150,9 +150,11 @@ def _guide(matcher: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: Disparity
     left = _left_px(matcher, calm, search)
     if min(left.shape) < 2 * HALF_SMALLEST_PX:
         return left
-    clean = calm is proxy
+    clean, lost = calm is proxy, np.isnan(left)
+    if clean and np.mean(lost) < PLAIN_LOST:
+        return left
     plain = _plain(proxy) if clean else np.True_
-    if clean and np.mean(plain & np.isnan(left)) < PLAIN_LOST:
+    if clean and np.mean(plain & lost) < PLAIN_LOST:
         return left
     small = match(half_proxy(proxy), search.halved(), guided=clean)  # clean plates go on to a quarter of the size, as long as it is plain, too
     half = 2 * nearest(small.left, (left.shape[0], left.shape[1]))
