@@ -17,7 +17,7 @@ from numba import njit
 
 from stereorelight import comp
 from stereorelight.camera import Camera
-from stereorelight.engine import area_rows, ball_rows, fastmath, light_rows, lobe_rows, rows
+from stereorelight.engine import area_rows, ball_rows, fastmath, light_rows, lobe_rows, march, march_rays, march_tops, rows
 from stereorelight.engine import light as engine
 from stereorelight.errors import PassError, ShotError
 from stereorelight.light.lights import DirectionalLight, Light, PointLight, SpotLight
@@ -396,6 +396,9 @@ def test_the_cached_kernels_are_those_of_todays_files() -> None:
         (lobe_rows, "LOBES", ball_rows),
         (lobe_rows, "LOBE_LEAVES", engine),
         (ball_rows, "BALL_LEAVES", engine),
+        (fastmath, "FASTMATH", march_rays),
+        (march_rays, "LEAVES", march),
+        (march_tops, "TOPS", march),
     )
     for module, name, holder in pairs:
         found = hashlib.sha256(Path(module.__file__).read_text(encoding="utf-8").encode()).hexdigest()[:16]

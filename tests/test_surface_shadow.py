@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 
+import numba
 import numpy as np
 import pytest
 
@@ -195,6 +197,57 @@ def test_a_soft_edge_is_as_wide_as_geometry_says(method: str) -> None:
     open_wall = (U[45] >= 80) & (U[45] < 155)
     assert np.abs(found.lit[45] - seen)[open_wall].mean() < 0.02
     assert np.abs(found.lit[45] - seen)[open_wall].max() < 0.12
+
+
+def rugged(width: int = 331, slant: float = 0.0) -> ShadowScene:
+    """A wavy wall, boxes far before it, a hole and an open corner; no whole number of blocks wide.  `slant`: metres farther away a pixel."""
+    camera = Camera.from_fov(50, (width, 180))
+    v, u = np.mgrid[0:180, 0:width].astype(np.float32)
+    Z = 3 + slant * u + 0.2 * np.sin(u / 20) + 0.1 * np.cos(v / 15)
+    Z = np.where((u % 80 < 9) & (v % 60 < 11), 1.2 + u / 400, Z)
+    Z[130:140, 50:70] = Z[:20, :30] = np.nan
+    N = np.broadcast_to(np.float32([0.8, 0, 0.6]), (180, width, 3))
+    open_ = np.zeros(Z.shape, bool)
+    open_[:20, :30] = True
+    return ShadowScene(Z=Z, N=N, camera=camera, thickness_m=0.1, open=open_)
+
+
+@pytest.mark.parametrize("steps", [9, 48, 512])
+@pytest.mark.parametrize(
+    "lamp",
+    [
+        Emitter(name="sun", shape="direction", towards=(0.6, 0.0, 0.8), angle_deg=4.0),
+        Emitter(name="rake", shape="direction", towards=(0.95, 0.24, 0.2)),
+        Emitter(name="from behind", shape="direction", towards=(0.7, 0.1, -0.7)),
+        Emitter(name="ball", shape="ball", position_m=(0.5, 0.3, -0.5), radius_m=0.1),
+        Emitter(name="point", shape="place", position_m=(1.0, 1.0, 0.0)),
+    ],
+)
+def test_passing_over_looks_changes_no_bit(lamp: Emitter, steps: int) -> None:
+    """The march passes over looks where all is in front of everything about: told that nothing is known of what is about, it takes them all."""
+    dark = 0.0
+    for make in (rugged, lambda: rugged(slant=0.03), lambda: card_scene()[0]):
+        scene, slow = make(), make()
+        slow.__dict__["grid"] = dataclasses.replace(slow.grid, tops=np.full_like(slow.grid.tops, 1e30))
+        found, every = (s.shadow(lamp, method="march", samples=5, steps=steps) for s in (scene, slow))
+        np.testing.assert_array_equal(found.lit, every.lit)
+        np.testing.assert_array_equal(found.unknown, every.unknown)
+        dark += float((found.lit < 0.5).mean())
+    assert 0.02 < dark < 2.9
+
+
+def test_march_gives_the_same_bits_on_any_number_of_threads() -> None:
+    scene = rugged()
+    before = numba.get_num_threads()
+    try:
+        found = []
+        for count in (1, 2, 1):
+            numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+            found.append(scene.shadow(SUN, method="march"))
+    finally:
+        numba.set_num_threads(before)
+    np.testing.assert_array_equal(found[0].lit, found[1].lit)
+    np.testing.assert_array_equal(found[0].unknown, found[2].unknown)
 
 
 def test_soft_shadows_keep_their_pattern_and_know_no_frame() -> None:

@@ -14,7 +14,7 @@ import math
 from stereorelight.engine.fastmath import angle_of_chord, f4, i4, kernel, power_below_one
 
 # As in light_rows.py: this file must change whenever fastmath.py does.
-FASTMATH = "c1f9e7aebd03d57b"
+FASTMATH = "66c93d0f0531acee"
 NODES = 64  # of the table of a GGX lobe's own albedo, over the square root of N.V
 
 _NEAREST2 = f4(1e-4)  # light_rows.NEAREST_M squared

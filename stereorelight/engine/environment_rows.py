@@ -13,7 +13,7 @@ from stereorelight.engine.fastmath import f4, floor, i4, kernel
 
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever these two do;
 # tests/test_light_environment.py holds them together.
-FASTMATH = "c1f9e7aebd03d57b"
+FASTMATH = "66c93d0f0531acee"
 VECTOR4 = "dcc64f8d6e04ddfd"
 
 _FARTHEST2 = f4(1e30)  # square of what no scene reaches; beyond it, and NaN, is missing

@@ -33,11 +33,12 @@ FAST = {"contract", "afn", "arcp", "nsz", "reassoc"}
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """`numba.njit` with this engine's flags and the disk cache; without the cache where no folder for it can be written.
 
-    noalias=True : promises that no array that the kernel writes overlaps another of its arrays.
+    noalias=True : promises that no array that the kernel writes overlaps another of its arrays.  Such a leaf becomes part of whoever calls
+                   it: handing over a dozen arrays, seven values each, costs as much as going through 256 pixels of them.
     """
 
     def compile_lazily(function: Callable[..., Any]) -> Any:
-        flags = {"fastmath": FAST, "error_model": "numpy", "nogil": True, **options}
+        flags = {"fastmath": FAST, "error_model": "numpy", "nogil": True, "forceinline": options.get("noalias", False), **options}
         try:
             return njit(cache=True, **flags)(function)
         except RuntimeError:  # numba: "no locator available"
@@ -67,6 +68,17 @@ def floor(typingctx, x):
         return builder.call(called, args)
 
     return types.float32(types.float32), body
+
+
+@intrinsic
+def look_up(typingctx, array, i):
+    """array[i] of a flat float32 array for an int32 i >= 0: no wrapping round, and no 64-bit index, for which a vector fetches half as much."""
+
+    def body(context, builder, signature, args):
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        return builder.load(builder.gep(data, [builder.sext(args[1], ir.IntType(64))], inbounds=True))
+
+    return types.float32(array, types.int32), body
 
 
 @kernel(inline="always")

@@ -50,10 +50,10 @@ PHONG, GGX = 0, 1  # MODEL
 MOST_SQUARED = 128  # whole exponents up to here are raised by squaring; beyond, rounding would add up to 1e-5
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever light_rows.py does;
 # tests/test_light_layers.py holds the two together.
-LEAVES = "1141c4474fbdefbd"
-LOBE_LEAVES = "c199acab019d4f07"
-BALL_LEAVES = "9832531bd3fb9ba2"
-AREA_LEAVES = "0e6c1734c7883028"
+LEAVES = "cb600e14bd7c5fd8"
+LOBE_LEAVES = "25657961984cb9ee"
+BALL_LEAVES = "7ee6bd14c15ef9c6"
+AREA_LEAVES = "9aeaa7932469afd4"
 STRIP = 2048  # its rows stay in the second-level cache
 AREA_ROWS = 26  # of the strip, see _rows; then come those of a highlight of a light with a size
 ROWS = AREA_ROWS + lobe_rows.ROOM

@@ -13,7 +13,7 @@ from stereorelight.engine.fastmath import angle_of_chord, f4, i4, kernel, power_
 NEAREST_M = 0.01  # a surface nearer to the light than this is lit as from here, so that nothing is infinite
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever fastmath.py does;
 # tests/test_light_layers.py holds the two together.
-FASTMATH = "c1f9e7aebd03d57b"
+FASTMATH = "66c93d0f0531acee"
 
 _NEAREST2 = f4(NEAREST_M**2)
 _FARTHEST2 = f4(1e30)  # square of what no scene reaches; beyond it, and NaN, is missing

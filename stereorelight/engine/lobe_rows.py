@@ -21,7 +21,7 @@ import math
 from stereorelight.engine.fastmath import exp2, f4, kernel, log2_below_one, power_below_one
 
 # As in light_rows.py: this file must change whenever fastmath.py does.
-FASTMATH = "c1f9e7aebd03d57b"
+FASTMATH = "66c93d0f0531acee"
 VECTOR = 64  # whole vectors, as in light.py
 ROOM = 22
 NOTHING, INSIDE, OUTLINE, CUT = f4(0), f4(1), f4(2), f4(3)
