@@ -46,7 +46,7 @@ def ambient_occlusion(scene: ShadowScene, *, radius_m: float = 0.5, falloff: flo
         raise ShotError(f"occlusion: samples must lie in 1 ... {MOST_SAMPLES}, got {samples}")
     h, w = scene.Z.shape
     N, P = scene.N.reshape(-1, 3), scene.P.reshape(-1, 3)
-    lift = scene.lift.reshape(-1)
+    lift = scene.clear.reshape(-1)
     known = np.isfinite(P + N).all(axis=-1) & np.isfinite(lift)
     pixels = np.flatnonzero(known)
     disc = on_disc(spread_pattern(samples))

@@ -109,8 +109,8 @@ class ShadowScene:
         return np.nan_to_num(found).astype(np.float32)
 
     @cached_property
-    def lift(self) -> Float32:
-        """(H, W) metres along N that rays start off the surface; NaN where there is none."""
+    def relief(self) -> Float32:
+        """(H, W) metres along N: what linked neighbours stand above the plane of N, a pixel's width at most; NaN where there is none."""
         P, N = self.P, self.N
         relief = np.zeros(self.Z.shape, np.float32)
         left, right, up, low = self.links.beside()
@@ -118,20 +118,36 @@ class ShadowScene:
             above = ((np.roll(P, shift, axis=axis) - P) * N).sum(axis=-1)
             relief = np.where(on & (above > relief), above, relief)
         pixel = self.Z / min(self.camera.fx, self.camera.fy)
-        lift = np.minimum(relief, pixel) + LEAST * self.Z
-        if self.Z_sigma is not None:
-            towards = np.abs((P * N).sum(axis=-1)) / self.Z  # a metre of Z is so much along N
-            doubt = np.float32(SIGMAS) * np.nan_to_num(self.Z_sigma) * towards
-            lift = lift + np.minimum(doubt, self._roughness)
-        return lift.astype(np.float32)
+        found: Float32 = (np.minimum(relief, pixel) + LEAST * self.Z).astype(np.float32)
+        return found
 
     @cached_property
-    def _roughness(self) -> Float32:
-        """(H, W) metres: what of the depth's doubt can put a pixel into its own neighbours' shadow.  Matching errs by whole places, and
-        smoothly: its sigma alone would lift rays over shadows that are there."""
+    def doubt(self) -> Float32:
+        """(H, W) metres along N, standard deviation of the depth; 0 for exact depth."""
+        if self.Z_sigma is None:
+            return np.zeros(self.Z.shape, np.float32)
+        towards = np.abs((self.P * self.N).sum(axis=-1)) / self.Z  # a metre of Z is so much along N
+        found: Float32 = (np.nan_to_num(self.Z_sigma) * towards).astype(np.float32)
+        return found
+
+    @cached_property
+    def lift(self) -> Float32:
+        """(H, W) metres along N that shadow rays start off the surface; NaN where there is none.
+
+        Matching errs by whole places, and smoothly: only as far as neighbours differ can its doubt throw a shadow on itself."""
         from stereorelight.engine.evening import roughness
 
-        return roughness(self.P, self.N, min(self.camera.fx, self.camera.fy))
+        if self.Z_sigma is None:
+            return self.relief
+        rough = roughness(self.P, self.N, min(self.camera.fx, self.camera.fy))
+        found: Float32 = (self.relief + SIGMAS * np.minimum(self.doubt, rough)).astype(np.float32)
+        return found
+
+    @cached_property
+    def clear(self) -> Float32:
+        """(H, W) metres along N that rays to all sides start off the surface: many of them graze it, and each bump under one would flicker."""
+        found: Float32 = (self.relief + SIGMAS * self.doubt).astype(np.float32)
+        return found
 
     @cached_property
     def _embree(self) -> Any:
