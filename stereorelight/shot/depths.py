@@ -22,6 +22,7 @@ from stereorelight.footage.frames import OURS, read_frame
 from stereorelight.passes import Frame
 from stereorelight.shot.truths import Stated, understood
 from stereorelight.surface.normals import Method, normals_and_sigma
+from stereorelight.surface.outlines import SURER, normals_to_the_rim
 from stereorelight.surface.position import position_from_depth
 from stereorelight.surface.shading import Quality, judge_by_shading, refine_by_shading
 from stereorelight.surface.shading_trust import Judged, ShotMaterials
@@ -203,6 +204,10 @@ def surface_of(depth: Frame, *, method: Method = "plane", noise_per_m: float = 0
     if camera is None:
         raise PassError("Z needs the camera that saw it before it can be a position")
     Z, confidence = depth["Z"], depth.passes.get("confidence")
-    N, sigma = normals_and_sigma(Z, camera, method=method, confidence=confidence, noise_per_m=noise_per_m, Z_sigma=depth.passes.get("Z_sigma"))
+    Z_sigma = depth.passes.get("Z_sigma")
+    N, sigma = normals_and_sigma(Z, camera, method=method, confidence=confidence, noise_per_m=noise_per_m, Z_sigma=Z_sigma)
+    if method == "plane" and Z_sigma is not None:  # exact depth needs no such help
+        N, rim = normals_to_the_rim(N, Z, camera, Z_sigma=Z_sigma)
+        sigma = None if sigma is None else sigma * (1 - np.float32(SURER) * rim)
     passes = {"Z": Z, "P": position_from_depth(Z, camera), "N": N}
     return replace(depth, passes=passes if sigma is None else {**passes, "N_sigma": sigma})
