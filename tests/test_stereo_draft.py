@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from stereorelight.stereo.draft import full_size, half_range
-from stereorelight.stereo.halves import half_proxy
+from stereorelight.camera import Camera, RectifiedRig
+from stereorelight.stereo.draft import full_size
+from stereorelight.stereo.halves import half_proxy, half_rig, half_view
 from stereorelight.stereo.match import DisparityRange
 from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import Refined
@@ -44,7 +45,7 @@ def test_a_plane_comes_back_at_full_size(size) -> None:
         sigma_px=np.full((h, w), 0.05, f4),
         slope_sigma=np.full((h, w), 0.01, f4),
     )
-    big = full_size(small, noise_pair(size, 3))
+    big = full_size(small, noise_pair(size, 3).left)
     v, u = np.mgrid[: size[0], : size[1]].astype(f4)
     inside = (slice(0, 2 * h), slice(0, 2 * w))
     assert np.abs(big.disparity - plane(u, v))[inside].max() < 1e-4
@@ -57,8 +58,29 @@ def test_half_a_pair_is_known_and_ranged_as_the_whole() -> None:
     half = half_proxy(noise_pair((61, 83), 5))
     assert half.left.shape == (30, 41, 3)
     assert half.left_known.all()
-    assert half_range(DisparityRange.holding(-7, 40)).low <= -3.5
-    assert half_range(DisparityRange.holding(-7, 40)).high > 20
+    whole = DisparityRange.holding(-7, 40)
+    assert whole.halved().low <= -3.5
+    assert whole.halved().high > 20
+    assert whole.halved().doubled().low <= -7
+    assert whole.halved().doubled().high > 40
+
+
+@pytest.mark.parametrize("size", [(120, 80), (121, 83)])
+def test_half_a_plate_is_seen_by_half_a_rig(size) -> None:
+    """A point lands where the mean of its four pixels is, and has half the disparity of the same distance."""
+    left, right = (Camera(size=size, K=np.array([[90, 0, cx], [0, 90, 41], [0, 0, 1.0]])) for cx in (60, 66))
+    whole = RectifiedRig(left=left, right=right, baseline_m=0.1)
+    half = half_rig(whole)
+    assert half.left.size == (size[0] // 2, size[1] // 2)
+    point = np.array([[0.3, -0.2, 2.0]])
+    assert 2 * half.left.project(point) + 0.5 == pytest.approx(whole.left.project(point))
+    assert 2 * half.disparity_from_depth(2.0) == pytest.approx(whole.disparity_from_depth(2.0))
+    plate = np.random.default_rng(0).random((size[1], size[0], 3), dtype=f4)
+    plate[4, 6] = np.nan
+    small = half_view(plate)
+    assert np.isnan(small[2, 3]).all()
+    assert np.isnan(small).sum() == 3
+    assert np.abs(small[:2] - plate[:4, : 2 * (size[0] // 2)].reshape(2, 2, -1, 2, 3).mean(axis=(1, 3))).max() < 1e-6
 
 
 def test_grain_is_measured_and_taken_out_of_the_pictures_that_choose_alone() -> None:

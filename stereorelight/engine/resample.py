@@ -98,3 +98,22 @@ def on_planes(value: Float32, slopes: tuple[Float32, Float32], pixels: Float32, 
     out, nearest = np.empty(pixels.shape[:2], np.float32), np.empty(pixels.shape[:2], np.int32)
     in_row_blocks(lambda first, end: _on_planes(first, end, value, *slopes, pixels, f4(apart), out, nearest), pixels.shape[0])
     return out, nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _doubled_planes(first, end, value, slope_x, slope_y, out):
+    H, W = value.shape
+    for y in range(first, end):
+        row = min(y // 2, H - 1)  # an odd last row or column repeats the one before
+        down = f4(0.5) if y % 2 or y >= 2 * H else f4(-0.5)
+        for x in range(out.shape[1]):
+            column = min(x // 2, W - 1)
+            across = f4(0.5) if x % 2 or x >= 2 * W else f4(-0.5)
+            out[y, x] = f4(2) * value[row, column] + across * slope_x[row, column] + down * slope_y[row, column]
+
+
+def doubled_planes(disparity: Float32, slopes: tuple[Float32, Float32], size_hw: tuple[int, int]) -> Float32:
+    """A half-size disparity in full-size pixels: each pixel's plane at the four that it was; slopes are px per px at either size."""
+    out = np.empty(size_hw, np.float32)
+    in_row_blocks(lambda first, end: _doubled_planes(first, end, disparity, *slopes, out), size_hw[0])
+    return out

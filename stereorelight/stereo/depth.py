@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from stereorelight.arrays import Float32
+from stereorelight.arrays import Float32, UInt8
 from stereorelight.camera import Eye
 from stereorelight.engine.distance import distances
 from stereorelight.engine.occlusion import consistent
@@ -21,12 +21,12 @@ from stereorelight.passes import Flag, Frame
 from stereorelight.stereo import confidence as belief
 from stereorelight.stereo.colour_match import ColourMatch
 from stereorelight.stereo.colour_match import match_colour as colour_matched
-from stereorelight.stereo.draft import full_size, half_range
+from stereorelight.stereo.draft import full_size
 from stereorelight.stereo.flow import FlowMatch, flow_disparity
-from stereorelight.stereo.halves import half_proxy, nearest
+from stereorelight.stereo.halves import half_rig, half_view, nearest
 from stereorelight.stereo.match import DisparityRange, Match, coarse_disparity, match, search_range
 from stereorelight.stereo.matchers import OWN, match_by, matcher_named
-from stereorelight.stereo.proxy import Proxy, matching_proxy
+from stereorelight.stereo.proxy import Proxy, matching_proxy, picture_of
 from stereorelight.stereo.rectify import Rectification
 from stereorelight.stereo.refine import EFFORTS, Refined, refine
 from stereorelight.stereo.settings import DepthSettings
@@ -67,31 +67,24 @@ class RectifiedDepth:
 
 def _matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> Match:
     if settings.matcher == OWN:
-        return match(proxy, search, exhaustive=settings.quality == "fine")
+        return match(proxy, search, exhaustive=settings.quality == "fine", led=settings.quality != "draft")
     return match_by(matcher_named(settings.matcher), settings.matcher.partition(":")[0], proxy, search)
 
 
-def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> RectifiedDepth:
-    """All of it at half size, the disparity carried up with the picture's edges."""
-    small = half_proxy(proxy)
-    depth = _of_pair(small, half_range(search), replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX)), None)
-    size = proxy.left_grey.shape
+def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings, picture: UInt8) -> RectifiedDepth:
+    """From the half-size `proxy`, the disparity carried up with the edges of the full-size `picture`."""
+    depth = _of_pair(proxy, search, replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX)), None)
+    size = (picture.shape[0], picture.shape[1])
     return RectifiedDepth(
-        refined=full_size(depth.refined, proxy),
+        refined=full_size(depth.refined, picture),
         confidence=np.ascontiguousarray(nearest(depth.confidence, size)),
         flags=np.ascontiguousarray(nearest(depth.flags, size)),
         vertical_px=depth.vertical_px,
     )
 
 
-def disparity_of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None) -> RectifiedDepth:
-    """Match, check, refine and judge the left eye of a rectified pair; `flow` is the second opinion, None in a draft."""
-    small = min(proxy.left_grey.shape) < 2 * DRAFT_SMALLEST_PX
-    return _of_pair(proxy, search, settings, flow) if settings.quality != "draft" or small else _draft(proxy, search, settings)
-
-
 def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None) -> RectifiedDepth:
-    """Match, check, refine and judge the left eye of a rectified pair."""
+    """Match, check, refine and judge the left eye of a rectified pair; `flow` is the second opinion, None in a draft."""
     found = _matched(proxy, search, settings)
     confirmed = consistent(found.left, found.right, within_px=settings.consistency_px)
     dense, known = found.dense, np.isfinite(found.left)
@@ -170,27 +163,33 @@ def recover(
     """
     settings = settings or DepthSettings()
     views = rectification.rectify(left, "left"), rectification.rectify(right, "right")
-    proxy = matching_proxy(*views)
     rig = rectification.rig
+    draft = settings.quality == "draft" and min(views[0].shape[:2]) >= 2 * DRAFT_SMALLEST_PX
+    shown = (half_view(views[0]), half_view(views[1])) if draft else views
+    proxy = matching_proxy(*shown)
 
     def opinion() -> FlowMatch | None:
         return None if settings.quality == "draft" else flow_disparity(proxy if eye == "left" else proxy.flipped())
 
     search, flow = at_once(
-        lambda: search_range(proxy, rig, near_m=settings.near_m, far_m=settings.far_m), lambda: opinion() if match_colour == "off" else None
+        lambda: search_range(proxy, half_rig(rig) if draft else rig, near_m=settings.near_m, far_m=settings.far_m),
+        lambda: opinion() if match_colour == "off" else None,
     )
     colour = None
     if match_colour != "off":
-        mended, colour = colour_matched(*views, mode=match_colour, disparity=coarse_disparity(proxy, search))
-        proxy = matching_proxy(views[0], mended)
+        mended, colour = colour_matched(*shown, mode=match_colour, disparity=coarse_disparity(proxy, search))
+        proxy = matching_proxy(shown[0], mended)
         flow = opinion()
     if search.count > proxy.left.shape[1]:
-        wide = proxy.left.shape[1]
-        raise PlateError(f"disparities {search.low} to {search.high} px do not fit plates {wide} px wide; check near_m and far_m against the rig")
-    if eye == "left":
-        depth = disparity_of_pair(proxy, search, settings, flow)
+        wide, reach = views[0].shape[1], search.doubled() if draft else search
+        raise PlateError(f"disparities {reach.low} to {reach.high} px do not fit plates {wide} px wide; check near_m and far_m against the rig")
+    pair = proxy if eye == "left" else proxy.flipped()
+    if draft:
+        picture = picture_of(views[0] if eye == "left" else np.ascontiguousarray(views[1][:, ::-1]), eye)
+        depth, search = _draft(pair, search, settings, picture), search.doubled()
     else:
-        depth = _flipped(disparity_of_pair(proxy.flipped(), search, settings, flow))
+        depth = _of_pair(pair, search, settings, flow)
+    depth = depth if eye == "left" else _flipped(depth)
     rectified = Frame(
         passes={
             "disparity": depth.refined.disparity,

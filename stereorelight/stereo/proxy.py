@@ -127,6 +127,16 @@ def tone_tables(picture: UInt16, target: UInt16) -> Float32:
     return (np.stack(tables) * (255 / (LEVELS - 1))).astype(np.float32)
 
 
+def _straight() -> Float32:
+    """(3, LEVELS) tables that leave tones as they are."""
+    return np.ascontiguousarray(np.broadcast_to(np.linspace(0, 255, LEVELS, dtype=np.float32), (3, LEVELS)))
+
+
+def picture_of(plate: Float32, eye: str) -> UInt8:
+    """(H, W, 3) BGR 8-bit of one rectified plate, in its own tones: for what tells things apart by their colours.  Raises PlateError as below."""
+    return through_tables(levels(plate, white=_white(plate, eye))[0], _straight())[0]
+
+
 def matching_proxy(left: Float32, right: Float32) -> Proxy:
     """8-bit pictures of one tone from rectified scene-linear plates (H, W, 3); NaN marks what the plate lacks.
 
@@ -134,7 +144,6 @@ def matching_proxy(left: Float32, right: Float32) -> Proxy:
     """
     left_level, left_known = levels(left, white=_white(left, "left"))
     right_level, right_known = levels(right, white=_white(right, "right"))
-    straight = np.broadcast_to(np.linspace(0, 255, LEVELS, dtype=np.float32), (3, LEVELS))
-    left_bgr, left_grey = through_tables(left_level, np.ascontiguousarray(straight))
+    left_bgr, left_grey = through_tables(left_level, _straight())
     right_bgr, right_grey = through_tables(right_level, tone_tables(right_level, left_level))
     return Proxy(left=left_bgr, right=right_bgr, left_grey=left_grey, right_grey=right_grey, left_known=left_known, right_known=right_known)
