@@ -165,7 +165,7 @@ def recover(
     views = rectification.rectify(left, "left"), rectification.rectify(right, "right")
     rig = rectification.rig
     draft = settings.quality == "draft" and min(views[0].shape[:2]) >= 2 * DRAFT_SMALLEST_PX
-    shown = (half_view(views[0]), half_view(views[1])) if draft else views
+    shown = at_once(lambda: half_view(views[0]), lambda: half_view(views[1])) if draft else views
     proxy = matching_proxy(*shown)
 
     def opinion() -> FlowMatch | None:

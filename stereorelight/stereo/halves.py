@@ -5,6 +5,7 @@ In: a `Proxy`, a plate, a rectified rig; a map (H, W).  Out: the same at half an
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -43,6 +44,7 @@ def half_view(view: Float32) -> Float32:
     return cv2.resize(view[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
 
 
+@lru_cache(maxsize=16)
 def half_rig(rig: RectifiedRig) -> RectifiedRig:
     """The rig whose plates `half_view` makes."""
 
