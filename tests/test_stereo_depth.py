@@ -93,9 +93,9 @@ def test_unseen_ground_is_flagged_as_a_guess_from_behind(card) -> None:
     assert ((flags[hidden] & Flag.FILLED) != 0).mean() > 0.8
     assert np.median(disparity_error(made, got["Z"])[hidden]) < 0.5
     sure = got["confidence"]
-    assert sure[hidden].mean() < sure[~hidden].mean() - 0.1
+    assert sure[hidden].mean() < sure[~hidden].mean() - 0.05
     right = disparity_error(made, got["Z"]) < 1  # a plain wall goes on behind the card: the guess is good, and is told to be
-    assert abs(sure[hidden].mean() - right[hidden].mean()) < 0.15
+    assert abs(sure[hidden].mean() - right[hidden].mean()) < 0.1
     bare = recover(*plates(made, rectified), rectified, settings=DepthSettings(fill=False)).frame["Z"]
     assert np.array_equal(np.isnan(bare), (flags & Flag.FILLED) != 0)
 
@@ -193,7 +193,7 @@ def test_motorcycle(real, quality, bad2, bad2_all, bad05, normals_deg, under) ->
 
 
 def test_motorcycle_confidence_tells_the_truth(real) -> None:
-    """Fitted on synthetic shots alone; within 0.12 of the measured share in every bin that holds 1 % of the pixels."""
+    """Fitted on synthetic shots alone; within 0.1 of the measured share in every bin that holds 1 % of the pixels."""
     pair, got = motorcycle(), real["standard"].rectified
     known = np.isfinite(pair.disparity)
     right = np.abs(got["disparity"] - pair.disparity)[known] <= 1
@@ -201,11 +201,14 @@ def test_motorcycle_confidence_tells_the_truth(real) -> None:
     for low in np.arange(0, 1, 0.1):
         inside = (sure >= low) & (sure < low + 0.1)
         if inside.mean() > 0.01:
-            assert abs(sure[inside].mean() - right[inside].mean()) < 0.12, low
-    # Of a right and a wrong pixel drawn at random the right one is the surer one four times in five.
+            assert abs(sure[inside].mean() - right[inside].mean()) < 0.1, low
+    assert sure[right].mean() - sure[~right].mean() > 0.19
+    hidden = ~pair.nonoccluded[known]  # guesses there are right half of the time
+    assert sure[hidden].mean() < sure[~hidden].mean() - 0.2
+    # Of a right and a wrong pixel drawn at random the right one is the surer one more than six times in seven.
     rank = np.argsort(np.argsort(sure, kind="stable"), kind="stable")
     n, m = int(right.sum()), int((~right).sum())
-    assert (rank[right].sum() - n * (n - 1) / 2) / (n * m) > 0.8
+    assert (rank[right].sum() - n * (n - 1) / 2) / (n * m) > 0.86
 
 
 def test_motorcycle_at_another_exposure_and_colour() -> None:

@@ -44,6 +44,7 @@ def test_a_plane_comes_back_at_full_size(size) -> None:
         unseen=np.zeros((h, w), np.bool_),
         sigma_px=np.full((h, w), 0.05, f4),
         slope_sigma=np.full((h, w), 0.01, f4),
+        clumped=np.full((h, w), 0.5, f4),
     )
     big = full_size(small, noise_pair(size, 3).left)
     v, u = np.mgrid[: size[0], : size[1]].astype(f4)

@@ -258,8 +258,8 @@ def _risk(delta, count, blamed, r, floor, least, shape, risk):
 
 
 @numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
-def _blend(normals, risk, total, weight, expected):
-    """Add a scale's normals, weighed by one over the risk squared, those weights, and the risks so weighed."""
+def _blend(normals, risk, size, total, weight, expected, sizes):
+    """Add a scale's normals, weighed by one over the risk squared, those weights, and the risks and the scale's `size` so weighed."""
     h, w = risk.shape
     for v in numba.prange(h):
         for i in range(w):
@@ -270,6 +270,7 @@ def _blend(normals, risk, total, weight, expected):
                 total[v, i, 2] += k * normals[v, i, 2]
                 weight[v, i] += k
                 expected[v, i] += k * risk[v, i] if risk[v, i] == risk[v, i] else k * np.float64(UNJUDGED_RISK)
+                sizes[v, i] += k * size
 
 
 def _least_count(r: int) -> float:
@@ -287,9 +288,10 @@ def _noise_floor(r: int, noise: float, rays: Float64, inverse: Float64) -> float
     return ROUNDING + float(2 * slope_variance / np.nanmedian(inverse) ** 2)
 
 
-def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple[int, ...], noise: float) -> tuple[Float32, Float32]:
-    """N (H, W, 3) float32, scene frame, facing the camera, and its expected error (H, W), radians; NaN where `inverse` is, or where no
-    window can say.  The error is the root of the blended scales' risk: how far windows of one size disagree with the next.
+def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple[int, ...], noise: float) -> tuple[Float32, Float32, Float32]:
+    """N (H, W, 3) float32, scene frame, facing the camera, its expected error (H, W), radians, and the half-width (H, W) of the windows
+    that it comes from, px; NaN where `inverse` is, or where no window can say.  The error is the root of the blended scales' risk: how far
+    windows of one size disagree with the next.
 
     inverse : (H, W), 1/Z or anything proportional to it, NaN where unknown.   rays : (H, W, 2) x/z and y/z.
     weight  : (H, W) >= 0.   radii : growing half-widths, two or more.   noise : standard deviation that `inverse` has at least.
@@ -297,14 +299,15 @@ def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple
     h, w = inverse.shape
     known = np.isfinite(inverse) & np.isfinite(rays).all(axis=-1)
     if not known.any():
-        return np.full((h, w, 3), np.nan, dtype=np.float32), np.full((h, w), np.nan, dtype=np.float32)
+        nothing = np.full((h, w), np.nan, dtype=np.float32)
+        return np.full((h, w, 3), np.nan, dtype=np.float32), nothing, nothing.copy()
     q = np.where(known & (weight > 0), weight, 0.0)
     x, y = (np.where(known, rays[..., k], 0.0) for k in (0, 1))
     w0 = float(inverse[known].mean())
     centred = np.where(known, inverse / w0 - 1.0, 0.0)  # free of units, and small numbers keep the running sums exact
     a, b, c, res, delta, count, blamed, risk, misfit = (np.empty((h, w)) for _ in range(9))
     least, shape = np.full((h, w), np.inf), np.zeros((h, w))
-    total, blended, expected = np.zeros((h, w, 3)), np.zeros((h, w)), np.zeros((h, w))
+    total, blended, expected, sizes = np.zeros((h, w, 3)), np.zeros((h, w)), np.zeros((h, w)), np.zeros((h, w))
     fine: Float32 | None = None
     with KERNEL_LOCK:
         _fit(centred, x, y, q, SPIKE_RADIUS, _least_count(SPIKE_RADIUS), a, b, c, res)
@@ -320,14 +323,15 @@ def plane_normals(inverse: Float64, rays: Float64, weight: Float64, radii: tuple
                 before = risk.copy()
                 floor = _noise_floor(radii[k - 1], noise, rays, inverse)
                 _risk(delta, count, blamed, max(radii[k - 1], SMOOTH), floor, least, shape, risk)
-                _blend(fine, risk, total, blended, expected)
+                _blend(fine, risk, np.log(radii[k - 1]), total, blended, expected, sizes)
             fine, misfit = coarse, coarse_misfit
         # Nothing coarser judges the last scale.  Noise falls by 16 from scale to scale; what fell less is shape, and weighs four times more there.
         excess = LAST * np.fmax(risk - before / 12 if len(radii) > 2 else risk, 0)
-        _blend(fine, np.fmax(excess, shape) + risk / 16 + _noise_floor(radii[-1], noise, rays, inverse), total, blended, expected)
+        last = np.fmax(excess, shape) + risk / 16 + _noise_floor(radii[-1], noise, rays, inverse)
+        _blend(fine, last, np.log(radii[-1]), total, blended, expected, sizes)
     with np.errstate(invalid="ignore", divide="ignore"):
         total /= np.sqrt((total * total).sum(axis=-1, keepdims=True))
-        error = np.sqrt(expected / blended)
+        error, radius = np.sqrt(expected / blended), np.exp(sizes / blended)
     total[~known] = np.nan
-    error[np.isnan(total[..., 2])] = np.nan
-    return np.ascontiguousarray(total, dtype=np.float32), error.astype(np.float32)
+    error[np.isnan(total[..., 2])] = radius[np.isnan(total[..., 2])] = np.nan
+    return np.ascontiguousarray(total, dtype=np.float32), error.astype(np.float32), radius.astype(np.float32)

@@ -2,7 +2,8 @@
 
 In: the match, the refined disparity and the flow's second opinion.  Out: confidence (H, W), the share of such pixels
 within 1 px of truth, and reason flags.  The evidence: the right eye confirms the match, here and round about; the flow confirms
-it, here and round about; no edge is near; and the refinement's own standard deviation, which knows noise and texture.
+it, here and round about; no edge is near; the refinement's own standard deviation, which knows noise and texture; and what is left
+between the eyes there, beside the plates' grain.
 A logistic regression weighs it.  Its coefficients were fitted on synthetic shots; docs/depth.md shows the check on
 footage that had no part in the fit.  The same evidence gives the standard deviation of the disparity."""
 
@@ -29,14 +30,18 @@ EVIDENCE = (
     "flow agrees nearby",
     "edge nearby x confirmed nearby",
     "edge nearby x flow agrees nearby",
+    "log misfit",
 )
-COEFFICIENTS = np.array([1.75, 0.45, 0.94, -1.14, -0.77, 2.01, 1.27, -1.41, -1.62], dtype=np.float32)
+COEFFICIENTS = np.array([3.35, 0.92, 0.284, -0.325, -1.4, 1.417, 0.003, -2.565, -0.521, -0.29], dtype=np.float32)
 FLOOR = 0.3  # ground of which nothing is known but what lies beside it is right that often
-# log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log texture, edge nearby.
-SIGMA_COEFFICIENTS = (0.078, 1.232, 0.306, 0.34, 0.578)
+# log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log of how far errors hang together.
+SIGMA_COEFFICIENTS = (0.866, 0.82, 0.618, 0.378)
 MOST_SIGMA_PX = 8.0
 WINDOW = (7, 7)
 CONFIRMED_NEARBY, FLOW_NEARBY = (9, 9), (15, 15)
+MISFIT = (5, 5)
+LEAST_GRAIN = 0.5  # grey levels
+USUALLY_CLUMPED, LEAST_CLUMPED = 0.5, 0.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,22 +50,38 @@ class Evidence:
 
     confirmed, flow_agrees               : 1 where the right eye, the flow say the same, else 0.
     confirmed_nearby, flow_agrees_nearby : the share of the pixels about it where they do.
-    texture : mean horizontal slope, grey levels per px.   spread : range of disparity nearby, px.   sigma : the refinement's own, px.
+    misfit  : variance of what is left between the eyes over 5 x 5, over that of the plates' grain; an even difference counts nothing.
+    spread  : range of disparity nearby, px.   sigma : the refinement's own, px.   clumped : `Refined`'s.
     """
 
     confirmed: Float32
     flow_agrees: Float32
     confirmed_nearby: Float32
     flow_agrees_nearby: Float32
-    texture: Float32
+    misfit: Float32
     spread: Float32
     sigma: Float32
+    clumped: Float32
+
+
+def grain_of(grey: Float32) -> float:
+    """Standard deviation of the noise of a grey picture, grey levels: the median of a mask that knows no ramps (Immerkaer 1996), on a
+    sixteenth of the pixels."""
+    h, w = grey.shape
+    twist = np.zeros((len(range(0, h - 2, 4)), len(range(0, w - 2, 4))), np.float32)
+    for y, row in enumerate(((1, -2, 1), (-2, 4, -2), (1, -2, 1))):
+        for x, share in enumerate(row):
+            twist += np.float32(share) * grey[y : h - 2 + y : 4, x : w - 2 + x : 4]
+    return float(np.median(np.abs(twist))) / (0.6745 * 6) if twist.size else 0.0
 
 
 def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | None) -> Evidence:
     """Gather the evidence; `flow` None counts as a second opinion that agrees wherever the right eye does."""
     d = refined.disparity
-    rate = brightness_residual(proxy.left_grey, proxy.right_grey, d)[1]
+    residual = brightness_residual(proxy.left_grey, proxy.right_grey, d)[0]
+    mean = cv2.blur(residual, MISFIT)
+    left_over = np.maximum(cv2.blur(residual * residual, MISFIT) - mean * mean, np.float32(0))
+    grain = max(grain_of(proxy.left_grey), LEAST_GRAIN)
     near = np.ones(WINDOW, np.uint8)
     sure = confirmed.astype(np.float32)
     with np.errstate(invalid="ignore"):
@@ -70,26 +91,28 @@ def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | No
         flow_agrees=agrees,
         confirmed_nearby=cv2.blur(sure, CONFIRMED_NEARBY),
         flow_agrees_nearby=cv2.blur(agrees, FLOW_NEARBY),
-        texture=cv2.blur(np.abs(rate), WINDOW),
+        misfit=left_over / np.float32(2 * grain * grain),
         spread=cv2.dilate(d, near) - cv2.erode(d, near),
         sigma=refined.sigma_px,
+        clumped=refined.clumped,
     )
 
 
 def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS) -> Float32:
     """(H, W) float32, 0..1: among pixels of confidence c a share of about c is within 1 px of truth."""
-    return believed(coefficients, e.confirmed, e.flow_agrees, e.confirmed_nearby, e.flow_agrees_nearby, e.spread, e.sigma, floor=FLOOR)
+    return believed(coefficients, e.confirmed, e.flow_agrees, e.confirmed_nearby, e.flow_agrees_nearby, e.spread, e.sigma, e.misfit, floor=FLOOR)
 
 
 def sigma_from_evidence(e: Evidence, confidence: Float32) -> Float32:
     """(H, W) px: the standard deviation of the disparity; 68 % of such pixels are within it, as the synthetic shots were.
 
-    The refinement's own sigma knows noise and bend; this adds what it cannot know: a wrong surface, and edges.
+    The refinement's own sigma knows noise and bend, and takes pixels for independent; this adds what it cannot know: a wrong surface, and
+    errors that hang together.
     """
-    always, own, doubt, texture, edge = (np.float32(c) for c in SIGMA_COEFFICIENTS)
+    always, own, doubt, together = (np.float32(c) for c in SIGMA_COEFFICIENTS)
     log = always + own * np.log(np.maximum(e.sigma, np.float32(1e-3)) / np.float32(0.03))
-    log += doubt * np.log((np.float32(1.005) - confidence) / np.float32(0.02)) + texture * np.log1p(e.texture)
-    log += edge * np.minimum(e.spread, np.float32(6)) / np.float32(6)
+    log += doubt * np.log((np.float32(1.005) - confidence) / np.float32(0.02))
+    log += together * np.log(np.maximum(e.clumped, np.float32(LEAST_CLUMPED)) / np.float32(USUALLY_CLUMPED))
     return np.minimum(np.float32(0.03) * np.exp(log), np.float32(MOST_SIGMA_PX)).astype(np.float32)
 
 

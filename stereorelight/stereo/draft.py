@@ -28,4 +28,5 @@ def full_size(refined: Refined, picture: UInt8) -> Refined:
         unseen=nearest(refined.unseen.view(np.uint8), size).view(np.bool_),
         sigma_px=np.hypot(2 * nearest(refined.sigma_px, size), np.float32(HALF_SIZE_SIGMA_PX)),
         slope_sigma=nearest(refined.slope_sigma, size),
+        clumped=nearest(refined.clumped, size),
     )

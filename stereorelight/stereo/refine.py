@@ -33,6 +33,8 @@ class Refined:
     disparity        : px.   slope_x, slope_y : its change per pixel.   unseen : ground that the right eye cannot see.
     sigma_px         : standard deviation of the disparity: noise of the pictures and expected bend of the surface together.
     slope_sigma      : standard deviation of either slope, px per px.
+    clumped          : how far what the pictures still ask for hangs together from pixel to pixel: the variance of its sums over 8 x 8 px, over
+                       what independent pixels would give.  About a half where noise is all that is left.
     """
 
     disparity: Float32
@@ -41,6 +43,7 @@ class Refined:
     unseen: Bool
     sigma_px: Float32
     slope_sigma: Float32
+    clumped: Float32
 
     def flipped(self) -> Refined:
         """The same of the mirrored pair, turned back."""
@@ -55,6 +58,7 @@ class Refined:
             unseen=np.ascontiguousarray(self.unseen[:, ::-1]),
             sigma_px=turn(self.sigma_px),
             slope_sigma=turn(self.slope_sigma),
+            clumped=turn(self.clumped),
         )
 
 
@@ -93,6 +97,7 @@ BEND = 0.006  # px per px^2: what a surface bends by before anything is known of
 BEND_DOUBT = 4.0  # worth of that guess, in independent measurements
 BEND_LIMITS = (0.0008, 0.15)
 BEND_RADIUS = 6.0  # px over which surfaces bend alike
+CLUMP_RADIUS = 8.0  # px over which errors hang together alike
 GEOMETRIC = 1.5  # mean square of bends over the square of their geometric mean
 BAND = 4 * np.pi  # of frequencies that pixels can hold, squared radians per pixel
 
@@ -111,6 +116,19 @@ def _grown(a: Float32, shape: tuple[int, int]) -> Float32:
 def _mean_weight(weight: Float32) -> Float32:
     """Local mean, on the quarter-size grid."""
     return cv2.GaussianBlur(_shrunk(weight, 2), (0, 0), BEND_RADIUS / 4)
+
+
+def clumped(weight: Float32, pull: Float32) -> Float32:
+    """How far the evidence's errors hang together, (H, W): mean square of the pulls' sums over 8 x 8 px, over the sums of their weights.
+
+    Were pixels independent and their weights true, that would be one.  Where eyes differ by more than noise (rows that do not agree, gloss,
+    surfaces that no plate follows), neighbours err alike, and sums grow faster (the sandwich of robust statistics; Huber 1967).
+    """
+    sums, sure = _shrunk(pull, 3), _shrunk(weight, 3)
+    square, sure = (cv2.GaussianBlur(a, (0, 0), CLUMP_RADIUS / 8) for a in (64 * sums * sums, sure))
+    small = square / np.maximum(sure, np.float32(1e-6))
+    quarter = ((weight.shape[0] + 3) // 4, (weight.shape[1] + 3) // 4)
+    return _grown(doubled(small, quarter), weight.shape)
 
 
 def expected_bend(disparity: Float32, weight: Float32, bend: Float32) -> Float32:
@@ -139,11 +157,12 @@ def expected_bend(disparity: Float32, weight: Float32, bend: Float32) -> Float32
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """A disparity, and the weight and bend that it rests on, both on the quarter-size grid."""
+    """A disparity, the weight and bend that it rests on, both on the quarter-size grid, and how far its evidence is `clumped`, (H, W)."""
 
     disparity: Float32
     weight: Float32
     bend: Float32
+    clumped: Float32
 
     def sigma(self) -> tuple[Float32, Float32]:
         """Standard deviation of the disparity, px, and of its slopes, px per px: of a plate with data, in closed form.
@@ -179,7 +198,7 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
         moved = plate_correction(d, weight, pull, _grown(bend, d.shape), cut=CUT_PX, levels=LEVELS, steps=effort.steps, finest=finest)
         d = d + np.clip(moved, -1, 1)
     assert bend is not None
-    return Surface(disparity=d, weight=mean, bend=bend)
+    return Surface(disparity=d, weight=mean, bend=bend, clumped=clumped(weight, pull))
 
 
 def _from_rows_that_match(disparity: Float32, proxy: Proxy) -> Float32:
@@ -281,4 +300,12 @@ def refine(
     disparity = surface.disparity
     slope_x, slope_y = slopes(disparity, cut=CUT_PX)
     sigma, slope_sigma = surface.sigma()
-    return Refined(disparity=disparity, slope_x=slope_x, slope_y=slope_y, unseen=lost, sigma_px=sigma, slope_sigma=slope_sigma)
+    return Refined(
+        disparity=disparity,
+        slope_x=slope_x,
+        slope_y=slope_y,
+        unseen=lost,
+        sigma_px=sigma,
+        slope_sigma=slope_sigma,
+        clumped=surface.clumped,
+    )

@@ -24,10 +24,12 @@ RADII_PX = (1, 2, 4, 8, 16, 32)
 # Measured over expected error, on synthetic shots: fits finer than this are somewhat better than they look, coarse ones as they look.
 SIGMA_FINE_DEG, SIGMA_COARSE_DEG = 8.0, 16.0
 SIGMA_FINE_GAIN, SIGMA_COARSE_GAIN = 0.82, 1.05
-# Of depth that matching has smoothed, whose windows agree better than they are right: log(N_sigma, radians) as always, log of the windows' own
-# disagreement, and log of Z_sigma over a pixel's width.
-FITTED = (-0.522, 0.806, 0.43)
+# Of depth that matching has smoothed, whose windows agree better than they are right: log(N_sigma, degrees) as always, log of the windows' own
+# disagreement, radians, log of Z_sigma over a pixel's width, log of how far the surface faces the camera, and log of the windows' half-width.
+FITTED = (4.887, 0.468, 0.62, 0.628, -1.052)
+FITTED_MOST_DEG = 55.0  # normals of which nothing is known are off by no more than this, two times in three
 LEAST_ERROR = 1e-4  # radians, and metres per metre
+LEAST_FACING = 0.05
 
 
 def _facing(normals: Float64, towards: Float64) -> Float32:
@@ -95,15 +97,26 @@ def normals_and_sigma(
     if method != "plane":
         raise PassError(f"normals method {method!r} is unknown{nearest_hint(method, ('plane', 'difference'))}")
     depth = checked_depth(Z, camera)
-    N, error = _by_planes(1 / depth.astype(np.float64), ray_slopes(camera), confidence, radii_px, noise_per_m)
+    rays = ray_slopes(camera)
+    N, error, radius = _by_planes(1 / depth.astype(np.float64), rays, confidence, radii_px, noise_per_m)
     if Z_sigma is None:
         return N, _as_sigma(error)
     tilt = camera.fx * as_float32(Z_sigma, "Z_sigma", size_hw=camera.size_hw) / depth
-    always, own, smoothed = FITTED
+    told = np.where(np.isfinite(tilt), _smoothed_sigma(N, error, radius, tilt, rays), _as_sigma(error))
+    return N, told.astype(np.float32)
+
+
+def _smoothed_sigma(N: Float32, error: Float32, radius: Float32, tilt: Float32, rays: Float64) -> Float32:
+    """Degrees that a normal of smoothed depth is off by: `tilt`, Z_sigma over a pixel's width, is an error that hangs together over some
+    pixels; the wider the window beside that, the less of it the normal takes."""
+    facing = (N[..., 2] - N[..., 0] * rays[..., 0] + N[..., 1] * rays[..., 1]) / np.sqrt(1 + (rays * rays).sum(axis=-1))
+    always, *shares = FITTED
     with np.errstate(invalid="ignore", divide="ignore"):
-        log = always + own * np.log(np.maximum(error, LEAST_ERROR)) + smoothed * np.log(np.maximum(tilt, LEAST_ERROR))
-    told = np.where(np.isfinite(tilt), np.degrees(np.exp(log)), _as_sigma(error))
-    return N, np.minimum(told, 90).astype(np.float32)
+        log: npt.NDArray[np.floating] | float = always
+        for share, value, least in zip(shares, (error, tilt, facing, radius), (LEAST_ERROR, LEAST_ERROR, LEAST_FACING, 1.0), strict=True):
+            log = log + share * np.log(np.maximum(value, least))
+        told: Float32 = (FITTED_MOST_DEG * -np.expm1(-np.exp(log) / FITTED_MOST_DEG)).astype(np.float32)
+    return told
 
 
 def _as_sigma(error: Float32) -> Float32:
@@ -132,7 +145,9 @@ def normals_from_disparity(
     return _by_planes(inverse, ray_slopes(rig.left), confidence, radii_px, noise_px / (rig.left.fx * rig.baseline_m))[0]
 
 
-def _by_planes(inverse: Float64, rays: Float64, confidence: npt.ArrayLike | None, radii_px: tuple[int, ...], noise: float) -> tuple[Float32, Float32]:
+def _by_planes(
+    inverse: Float64, rays: Float64, confidence: npt.ArrayLike | None, radii_px: tuple[int, ...], noise: float
+) -> tuple[Float32, Float32, Float32]:
     h, w = inverse.shape
     if len(radii_px) < 2 or any(not isinstance(r, int | np.integer) for r in radii_px) or radii_px[0] < 1 or list(radii_px) != sorted(set(radii_px)):
         raise PassError(f"radii_px must be at least two growing whole numbers from 1, got {radii_px!r}")
