@@ -65,7 +65,7 @@ def test_a_run_leaves_every_layer(still: Path) -> None:
     out = still / "out"
     depth, surface, relit = (read_frame(out / kind / "sphere.exr") for kind in ("depth", "passes", "relit"))
     assert set(depth) == {"Z", "confidence", "flags", "disparity_sigma", "Z_sigma"}
-    assert set(surface) == {"Z", "P", "N", "N_sigma"}
+    assert set(surface) == {"Z", "P", "N", "N_sigma", "Z_sigma"}
     assert set(relit) == {"beauty", "light_key_diffuse", "light_key_specular", "light_fill_diffuse"}
     assert np.array_equal(depth["Z"], surface["Z"], equal_nan=True)
     assert depth.camera is not None

@@ -34,6 +34,14 @@ TARGETS = ("stereorelight", "opencv", "kalibr", "mrcal", "ros", "meshroom", "stm
 @click.option("--overscan", type=float, metavar="SHARE", help="stmap: add so much of the plate on each side; what holds every pixel when left out.")
 @click.option("--rectify", is_flag=True, help="stmap: also maps to the rectified pair and back.")
 @click.option("--points", is_flag=True, help="ply: points alone, without triangles.")
+@click.option(
+    "--thickness",
+    "thickness_mm",
+    type=click.FloatRange(min=0),
+    default=0.0,
+    metavar="MM",
+    help="ply: close things so far behind what is seen of them; 0 leaves a sheet.",
+)
 @click.option("--plate", metavar="FILE", help="ply: the plate that colours the points of PASSES.exr; a shot knows its own.")
 @click.option("--min-confidence", type=click.FloatRange(0, 1), default=0.0, help="ply: leave out what depth is less sure of.")
 @click.option("--rig", "rig_path", type=FILE, metavar="RIG", help="ply: with LEFT.exr RIGHT.exr, both eyes' points brought together.")
@@ -50,6 +58,7 @@ def command(
     overscan: float | None,
     rectify: bool,
     points: bool,
+    thickness_mm: float,
     plate: str | None,
     min_confidence: float,
     rig_path: Path | None,
@@ -64,12 +73,12 @@ def command(
 
     --to ply writes the surface that a Z or P pass shows, cut at depth edges; a shot's own, once it has been run.
     """
-    of_surface = points or plate or min_confidence or rig_path or frames
+    of_surface = points or thickness_mm or plate or min_confidence or rig_path or frames
     if target == "ply":
-        _surface(source, path, points, plate, min_confidence, rig_path, frames, force=force, as_json=as_json)
+        _surface(source, path, points, thickness_mm, plate, min_confidence, rig_path, frames, force=force, as_json=as_json)
         return
     if of_surface:
-        raise click.UsageError("--points, --plate, --min-confidence, --rig and --frames belong to --to ply")
+        raise click.UsageError("--points, --thickness, --plate, --min-confidence, --rig and --frames belong to --to ply")
     if target != "stmap" and (overscan is not None or rectify):
         raise click.UsageError("--overscan and --rectify belong to --to stmap")
     rig = _rig(source, _size(size), unit_m, as_json=as_json)
@@ -116,6 +125,7 @@ def _surface(
     source: tuple[Path, ...],
     path: Path,
     points: bool,
+    thickness_mm: float,
     plate: str | None,
     least: float,
     rig_path: Path | None,
@@ -126,16 +136,18 @@ def _surface(
 ) -> None:
     from stereorelight.shot.clouds import export_merged, export_shot, export_surface
 
+    if thickness_mm and (points or len(source) == 2):
+        raise click.UsageError("--thickness closes triangles: give one file or a shot, without --points")
     if source[0].suffix.lower() == ".toml":
         if len(source) > 1 or plate or rig_path:
             raise click.UsageError("a shot stands alone, and knows its own plates and rig")
-        made = export_shot(source[0], path, frames=frames, mesh=not points, least_confidence=least, force=force)
+        made = export_shot(source[0], path, frames=frames, mesh=not points, least_confidence=least, thickness_m=thickness_mm * 1e-3, force=force)
     elif len(source) == 2:
         if rig_path is None or plate:
             raise click.UsageError("LEFT.exr RIGHT.exr need --rig, which says how the eyes stand, and take no --plate")
         made = [export_merged(source[0], source[1], rig_path, path, least_confidence=least, force=force)]
     elif len(source) == 1 and rig_path is None and frames is None:
-        made = [export_surface(source[0], path, plate=plate, mesh=not points, least_confidence=least, force=force)]
+        made = [export_surface(source[0], path, plate=plate, mesh=not points, least_confidence=least, thickness_m=thickness_mm * 1e-3, force=force)]
     else:
         raise click.UsageError("--to ply takes PASSES.exr, or LEFT.exr RIGHT.exr with --rig, or SHOT.toml")
     first = made[0]

@@ -42,11 +42,19 @@ def read_surface(path: Path) -> Frame:
 
 
 def write_surface(
-    path: Path, frame: Frame, *, plate: Float32 | None = None, mesh: bool = True, least_confidence: float = 0.0, force: bool = False
+    path: Path,
+    frame: Frame,
+    *,
+    plate: Float32 | None = None,
+    mesh: bool = True,
+    least_confidence: float = 0.0,
+    thickness_m: float = 0.0,
+    force: bool = False,
 ) -> tuple[int, int]:
     """Write a frame's surface as PLY; how many points and triangles it has.
 
-    plate : (H, W, 3) linear, for colours, which are written as sRGB shows them.     mesh : triangles too, cut at depth edges.
+    plate       : (H, W, 3) linear, for colours, which are written as sRGB shows them.     mesh : triangles too, cut at depth edges.
+    thickness_m : how far behind what is seen of it a thing goes on, and is closed there; 0 leaves a sheet.
     """
     assert frame.camera is not None
     Z = np.array(frame["Z"])
@@ -57,15 +65,17 @@ def write_surface(
         sigma = frame.passes.get("Z_sigma")
         links = links_of(Z, frame.camera, Z_sigma=sigma)
         casts = np.isfinite(Z) if sigma is None else np.isfinite(Z) & solid(links) & ~beside_nearer(Z, links, within_px=1)
-        made = mesh_from_depth(np.where(casts, Z, np.nan), frame.camera, links=without(links, ~casts))
+        made = mesh_from_depth(np.where(casts, Z, np.nan), frame.camera, thickness_m=thickness_m, links=without(links, ~casts))
         used, triangles = np.unique(made.triangles, return_inverse=True)
         triangles = triangles.reshape(-1, 3).astype(np.int32)
         points = made.vertices[used]
         pixel = made.pixel[used]
+        behind = (used >= len(made.vertices) // 2) if thickness_m > 0 else np.zeros(len(used), bool)
     else:
         cloud = cloud_of(SeenBy(Z=Z, camera=frame.camera))
         points, pixel = cloud.points, np.flatnonzero(np.isfinite(Z))
-    normals = None if "N" not in frame else np.nan_to_num(frame["N"].reshape(-1, 3)[pixel])
+        behind = np.zeros(len(points), bool)
+    normals = None if "N" not in frame else np.nan_to_num(frame["N"].reshape(-1, 3)[pixel]) * np.where(behind, -1, 1)[:, None].astype(np.float32)
     sure = None if "confidence" not in frame else np.nan_to_num(frame["confidence"].reshape(-1)[pixel])
     colours = None if plate is None else encode(plate.reshape(-1, 3)[pixel], "sRGB")
     write_ply(path, points, normals=normals, colours=colours, confidence=sure, triangles=triangles, comments=COMMENTS, force=force)
@@ -91,7 +101,14 @@ def _noted(path: Path, points: int, triangles: int) -> dict[str, Any]:
 
 
 def export_surface(
-    source: Path, path: Path, *, plate: str | None = None, mesh: bool = True, least_confidence: float = 0.0, force: bool = False
+    source: Path,
+    path: Path,
+    *,
+    plate: str | None = None,
+    mesh: bool = True,
+    least_confidence: float = 0.0,
+    thickness_m: float = 0.0,
+    force: bool = False,
 ) -> dict[str, Any]:
     """The surface of a file with Z, coloured by the picture `plate`; its file and figures.  Raises PassError, PlateError."""
     frame = read_surface(source)
@@ -103,7 +120,8 @@ def export_surface(
         if picture.shape[:2] != frame.size_hw:
             (h, w), (a, b) = frame.size_hw, picture.shape[:2]
             raise PlateError(f"{plate}: is {b}x{a} pixels, {source} {w}x{h}; give the plate that the depth lies on")
-    return _noted(path, *write_surface(path, frame, plate=picture, mesh=mesh, least_confidence=least_confidence, force=force))
+    figures = write_surface(path, frame, plate=picture, mesh=mesh, least_confidence=least_confidence, thickness_m=thickness_m, force=force)
+    return _noted(path, *figures)
 
 
 def export_merged(left: Path, right: Path, rig_path: Path, path: Path, *, least_confidence: float = 0.0, force: bool = False) -> dict[str, Any]:
@@ -115,7 +133,14 @@ def export_merged(left: Path, right: Path, rig_path: Path, path: Path, *, least_
 
 
 def export_shot(
-    shot: Path, path: Path, *, frames: str | None = None, mesh: bool = True, least_confidence: float = 0.0, force: bool = False
+    shot: Path,
+    path: Path,
+    *,
+    frames: str | None = None,
+    mesh: bool = True,
+    least_confidence: float = 0.0,
+    thickness_m: float = 0.0,
+    force: bool = False,
 ) -> list[dict[str, Any]]:
     """The surface of every frame that a run of the shot made, coloured by its plate.  Raises ShotError, PlateError and what the shot raises."""
     ready = prepare(shot, frames)
@@ -130,6 +155,6 @@ def export_shot(
         more = {name: job.depth[name] for name in ("Z_sigma", "confidence") if name in job.depth}
         frame = job.surface.with_passes(**more)
         target = path if pattern.is_single else pattern.path(pair.number)
-        figures = write_surface(target, frame, plate=job.plate, mesh=mesh, least_confidence=least_confidence, force=force)
+        figures = write_surface(target, frame, plate=job.plate, mesh=mesh, least_confidence=least_confidence, thickness_m=thickness_m, force=force)
         made.append(_noted(target, *figures))
     return made

@@ -196,7 +196,8 @@ def shaded(
 
 
 def surface_of(depth: Frame, *, method: Method = "plane", noise_per_m: float = 0.0) -> Frame:
-    """Z, P and N of a frame that holds Z, with the standard deviation of N, degrees.  Raises PassError where it has no camera.
+    """Z, P and N of a frame that holds Z, with the standard deviation of N, degrees, and of Z, metres, where the frame holds it: shadows
+    start off a surface by it.  Raises PassError where it has no camera.
 
     noise_per_m : what 1/Z is at least off by, as `normals_from_depth` takes it.
     """
@@ -210,4 +211,5 @@ def surface_of(depth: Frame, *, method: Method = "plane", noise_per_m: float = 0
         N, rim = normals_to_the_rim(N, Z, camera, Z_sigma=Z_sigma)
         sigma = None if sigma is None else sigma * (1 - np.float32(SURER) * rim)
     passes = {"Z": Z, "P": position_from_depth(Z, camera), "N": N}
-    return replace(depth, passes=passes if sigma is None else {**passes, "N_sigma": sigma})
+    more = {"N_sigma": sigma, "Z_sigma": depth.passes.get("Z_sigma")}
+    return replace(depth, passes={**passes, **{name: a for name, a in more.items() if a is not None}})

@@ -238,7 +238,7 @@ def mesh_from_depth(
     behind = _place(np.concatenate([slopes.reshape(-1, 2), rim.slopes]), back)
     shift = np.int32(len(vertices))
     a, b = rim.outer[:, 0], rim.outer[:, 1]
-    walls = np.concatenate([np.stack([a, b, b + shift], -1), np.stack([a, b + shift, a + shift], -1)])
+    walls = np.concatenate([np.stack([b, a, a + shift], -1), np.stack([b, a + shift, b + shift], -1)])
     triangles = np.concatenate([sheet, sheet[:, ::-1] + shift, walls])
     return Mesh(vertices=np.concatenate([vertices, behind]), triangles=triangles, seen=len(sheet), pixel=np.concatenate([pixel, pixel]))
 
@@ -299,8 +299,9 @@ class _Rim:
             lone = size[there, k] == 1  # a pixel alone in its block gives up its corner, so that slanting outlines are no stairs
             quarter = [np.stack([p, f, c], -1)[~lone], np.stack([p, c, s], -1)[~lone], np.stack([p, f, s], -1)[lone]]
             triangles += [t[:, ::-1] if turns[k] else t for t in quarter]
-            edges = ((cut_across[k][there] & ~lone, np.stack([s, c], -1)), (cut_down[k][there] & ~lone, np.stack([f, c], -1)))
-            outer += [edge[cut] for cut, edge in (*edges, (lone, np.stack([f, s], -1)))]
+            edges = ((cut_across[k][there] & ~lone, np.stack([c, s], -1)), (cut_down[k][there] & ~lone, np.stack([f, c], -1)))
+            sides = [edge[cut] for cut, edge in (*edges, (lone, np.stack([f, s], -1)))]
+            outer += [side[:, ::-1] if turns[k] else side for side in sides]  # as the quarters' own triangles run along them
             for name, made in (("side", s), ("foot", f), ("corner", c)):
                 ends[name][there, k] = made
             count += 3 * n
