@@ -17,7 +17,7 @@ from numba import njit
 
 from stereorelight import comp
 from stereorelight.camera import Camera
-from stereorelight.engine import area_rows, ball_rows, fastmath, light_rows, lobe_rows, march, march_rays, march_tops, rows
+from stereorelight.engine import area_rows, ball_rows, fastmath, light_rows, lobe_rows, march, march_rays, march_tops, rows, stream
 from stereorelight.engine import light as engine
 from stereorelight.errors import PassError, ShotError
 from stereorelight.light.lights import DirectionalLight, Light, PointLight, SpotLight
@@ -385,6 +385,24 @@ def test_kernels_work_where_nothing_can_be_cached(monkeypatch: pytest.MonkeyPatc
     assert fastmath.kernel()(lambda x: x + 1)(1) == 2
 
 
+@pytest.mark.parametrize("width", [1, 7, 61])
+def test_layers_past_the_caches_hold_the_same_bits(monkeypatch: pytest.MonkeyPatch, width: int) -> None:
+    """Large layers are streamed to memory line by line: rows that begin and end anywhere in a line, with a rim on top, and nothing beside them."""
+    rng = np.random.default_rng(width)
+    P = rng.uniform(-1, 1, (19, width, 3)).astype(np.float32) - np.float32([0, 0, 3])
+    N, albedo = rng.normal(size=P.shape).astype(np.float32), rng.uniform(0, 1, P.shape).astype(np.float32)
+    N /= np.linalg.norm(N, axis=-1, keepdims=True)
+    lights = [PointLight(name="a", position_m=(1, 1, 0), specular=0.3, rim=0.5), DirectionalLight(name="b", azimuth_deg=30)]
+    found = []
+    for least in (0, 1 << 40):
+        monkeypatch.setattr(engine, "STREAM_BYTES", least)
+        found.append(light_layers(P, N, albedo, lights))
+    assert len(found[0]) == 3
+    for name, layer in found[1].items():
+        np.testing.assert_array_equal(found[0][name], layer)
+        assert layer.any()
+
+
 def test_the_cached_kernels_are_those_of_todays_files() -> None:
     """numba hashes a kernel's own file only: with another fastmath.py the disk cache would go on with the old mathematics."""
     pairs = (
@@ -396,6 +414,8 @@ def test_the_cached_kernels_are_those_of_todays_files() -> None:
         (lobe_rows, "LOBES", ball_rows),
         (lobe_rows, "LOBE_LEAVES", engine),
         (ball_rows, "BALL_LEAVES", engine),
+        (fastmath, "FASTMATH", stream),
+        (stream, "STREAM", engine),
         (fastmath, "FASTMATH", march_rays),
         (march_rays, "LEAVES", march),
         (march_tops, "TOPS", march),

@@ -21,6 +21,7 @@ from stereorelight.engine import ball_rows, lobe_rows
 from stereorelight.engine import light_rows as leaf
 from stereorelight.engine.fastmath import f4, floor, i4, kernel
 from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.stream import STREAM_BYTES, stream, streamed
 
 # Columns of the light table, float32.
 PLACE = 0  # 0..2: position, or the unit vector towards a directional light
@@ -53,6 +54,7 @@ MOST_SQUARED = 128  # whole exponents up to here are raised by squaring; beyond,
 LEAVES = "cb600e14bd7c5fd8"
 LOBE_LEAVES = "25657961984cb9ee"
 BALL_LEAVES = "7ee6bd14c15ef9c6"
+STREAM = "8a555a433ab59bd6"
 AREA_LEAVES = "9aeaa7932469afd4"
 STRIP = 2048  # its rows stay in the second-level cache
 AREA_ROWS = 26  # of the strip, see _rows; then come those of a highlight of a light with a size
@@ -63,12 +65,13 @@ VECTOR = 64  # whole vectors, unrolled, on any machine of today
 
 @kernel()
 def _rows(
-    T, at, first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, glows, layers, plate, gain, beauty, to_beauty,
-    own_albedo,
+    T, at, pane, streams, first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, glows, layers, plate, gain,
+    beauty, to_beauty, own_albedo,
 ):  # fmt: skip
     """Rows first..end.  P, N, albedo, plate, beauty are (H, 3 W); rays (H, 2 W); layers (slots, H, 3 W); mattes (k, H, W).
 
-    T : (ROWS, STRIP + PADDING), room for one strip's rows;  at : (STRIP + PADDING,) whole numbers."""
+    T : (ROWS, STRIP + PADDING), room for one strip's rows;  at : (STRIP + PADDING,) whole numbers;  pane : (3 STRIP,), where a layer's row is
+    made before it is streamed, where `streams`."""
     W = N.shape[1] // 3
     h, front = T[19], T[20]
     ax_, ay_, az_, tx2, ty2 = T[21], T[22], T[23], T[24], T[25]
@@ -192,13 +195,15 @@ def _rows(
                     dull = dull and not shines
                 if slots[k, DIFFUSE_SLOT] >= 0:
                     a = albedo[y, 3 * x : 3 * (x + m)]
-                    into = layers[slots[k, DIFFUSE_SLOT], y, 3 * x : 3 * (x + m)]
+                    into = pane if streams else layers[slots[k, DIFFUSE_SLOT], y, 3 * x : 3 * (x + m)]
                     if adds:
                         area.add_diffuse(m, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], a, into)
                     else:
                         leaf.write_diffuse(m, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], a, into)
+                    if streams:
+                        stream(3 * m, pane, layers[slots[k, DIFFUSE_SLOT], y, 3 * x : 3 * (x + m)])
                 if slots[k, SPECULAR_SLOT] >= 0:
-                    into = layers[slots[k, SPECULAR_SLOT], y, 3 * x : 3 * (x + m)]
+                    into = pane if streams else layers[slots[k, SPECULAR_SLOT], y, 3 * x : 3 * (x + m)]
                     if adds:
                         area.add_specular(m, s, q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], into)
                     else:
@@ -206,12 +211,15 @@ def _rows(
                 if q[RIM] + q[RIM + 1] + q[RIM + 2] > f4(0):
                     area.rim(n, q[RIM_POWER], nx, ny, nz, vx, vy, vz, e, s)
                     if slots[k, SPECULAR_SLOT] >= 0:
-                        area.add_specular(m, s, q[RIM], q[RIM + 1], q[RIM + 2], layers[slots[k, SPECULAR_SLOT], y, 3 * x : 3 * (x + m)])
+                        into = pane if streams else layers[slots[k, SPECULAR_SLOT], y, 3 * x : 3 * (x + m)]
+                        area.add_specular(m, s, q[RIM], q[RIM + 1], q[RIM + 2], into)
                     if to_beauty and dull:
                         leaf.put(n, s, q[RIM], q[RIM + 1], q[RIM + 2], sr, sg, sb)
                         dull = False
                     elif to_beauty:
                         leaf.add(n, s, q[RIM], q[RIM + 1], q[RIM + 2], sr, sg, sb)
+                if streams and slots[k, SPECULAR_SLOT] >= 0:
+                    stream(3 * m, pane, layers[slots[k, SPECULAR_SLOT], y, 3 * x : 3 * (x + m)])
             if to_beauty and not alone:
                 if dark:
                     leaf.put(n, known, f4(0), f4(0), f4(0), dr, dg, db)
@@ -222,6 +230,8 @@ def _rows(
                     leaf.write_relit_plate(m, plate[y, strip], gain[0], gain[1], gain[2], dr, dg, db, sr, sg, sb, beauty[y, strip])
                 else:
                     leaf.write_beauty(m, plate[y, strip], albedo[y, strip], gain[0], gain[1], gain[2], dr, dg, db, sr, sg, sb, beauty[y, strip])
+    if streams:
+        streamed()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,15 +278,18 @@ def shade(
     gains = np.array(gain, np.float32)
     tables = np.zeros((1, area.NODES), np.float32) if glows is None else glows
 
+    streams = flat_layers.nbytes >= STREAM_BYTES and not slots[:, ADDS].any()  # what is added to is read again
+
     room = threading.local()  # fresh pages for every block would cost a tenth of one light
 
     def run(first: int, end: int) -> None:
         if not hasattr(room, "rows"):
             room.rows = np.empty((ROWS, STRIP + PADDING), np.float32)
             room.at = np.empty(STRIP + PADDING, np.int64)
+            room.pane = np.empty(3 * STRIP, np.float32)
         _rows(
-            room.rows, room.at, first, end, surface.P is not None, surface.rays is not None, P, Z, rays, N, fx, fy, cx, cy, flat_albedo,
-            lights, slots, mattes, tables, flat_layers, flat_plate, gains, flat_beauty, beauty is not None, albedo is plate,
+            room.rows, room.at, room.pane, streams, first, end, surface.P is not None, surface.rays is not None, P, Z, rays, N, fx, fy, cx, cy,
+            flat_albedo, lights, slots, mattes, tables, flat_layers, flat_plate, gains, flat_beauty, beauty is not None, albedo is plate,
         )  # fmt: skip
 
     in_row_blocks(run, height)
