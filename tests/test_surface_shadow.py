@@ -322,7 +322,7 @@ def test_a_lens_that_bends_casts_the_same_shadow() -> None:
 @pytest.mark.parametrize("name", ["bust", "table"])
 def test_ambient_occlusion_and_bent_normals_against_traced_truth(name: str) -> None:
     scene, _, _ = truth(name, KEY)
-    radius, count, step = 0.3, 64, 7
+    radius, count, step = 0.3, 256, 7
     found = ambient_occlusion(scene, radius_m=radius)
     tables = scene_named(name).tables()
     P, N = (a[2::step, 2::step].reshape(-1, 3).astype(np.float64) for a in (scene.P, scene.N))
@@ -330,9 +330,9 @@ def test_ambient_occlusion_and_bent_normals_against_traced_truth(name: str) -> N
     P, N = P[known], N[known]
     u, v = across(N)
     lost, way = np.zeros(len(P)), np.zeros((len(P), 3))
-    rng = np.random.default_rng(0)
+    shift = np.random.default_rng(0).random((len(P), 2))  # of the whole even set: places drawn one by one left an error of 0.02 in the truth
     for at in spread(count):
-        disc = on_disc((at + rng.random((len(P), 2))) % 1)
+        disc = on_disc((at + shift) % 1)
         ways = disc[:, :1] * u + disc[:, 1:] * v + np.sqrt(np.maximum(1 - (disc**2).sum(-1), 0))[:, None] * N
         t, hit = raycast.first_hits(tables.objects, tables.primitives, P + 1e-5 * N, ways, limits=np.full(len(P), radius))
         blocked = np.where(hit >= 0, 1 - t / radius, 0.0)
@@ -346,7 +346,7 @@ def test_ambient_occlusion_and_bent_normals_against_traced_truth(name: str) -> N
     angle = np.degrees(np.arccos(np.clip((own_bent * bent).sum(axis=-1), -1, 1)))
     assert shaded.mean() > 0.1
     assert np.abs(own_ao - ao).mean() <= 0.03
-    assert np.abs(own_ao - ao)[shaded].mean() <= 0.05
+    assert np.abs(own_ao - ao)[shaded].mean() <= 0.03
     assert np.median(angle) <= 5
     assert np.median(angle[shaded]) <= 5
 
