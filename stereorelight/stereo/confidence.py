@@ -16,6 +16,7 @@ import numpy as np
 
 from stereorelight.arrays import Bool, Float32, UInt16
 from stereorelight.engine.photometric import believed, brightness_residual
+from stereorelight.engine.rows import at_once, in_row_blocks
 from stereorelight.passes import Flag
 from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import Refined
@@ -79,20 +80,28 @@ def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | No
     """Gather the evidence; `flow` None counts as a second opinion that agrees wherever the right eye does."""
     d = refined.disparity
     residual = brightness_residual(proxy.left_grey, proxy.right_grey, d)[0]
-    mean = cv2.blur(residual, MISFIT)
-    left_over = np.maximum(cv2.blur(residual * residual, MISFIT) - mean * mean, np.float32(0))
-    grain = max(grain_of(proxy.left_grey), LEAST_GRAIN)
     near = np.ones(WINDOW, np.uint8)
     sure = confirmed.astype(np.float32)
-    with np.errstate(invalid="ignore"):
-        agrees = sure if flow is None else (np.abs(flow - d) <= 1).astype(np.float32)
+
+    def said() -> tuple[Float32, Float32, Float32, Float32]:
+        with np.errstate(invalid="ignore"):
+            agrees = sure if flow is None else (np.abs(flow - d) <= 1).astype(np.float32)
+        return agrees, cv2.blur(sure, CONFIRMED_NEARBY), cv2.blur(agrees, FLOW_NEARBY), cv2.dilate(d, near) - cv2.erode(d, near)
+
+    def seen() -> Float32:
+        mean = cv2.blur(residual, MISFIT)
+        left_over = np.maximum(cv2.blur(residual * residual, MISFIT) - mean * mean, np.float32(0))
+        grain = max(grain_of(proxy.left_grey), LEAST_GRAIN)
+        return left_over / np.float32(2 * grain * grain)
+
+    (agrees, confirmed_nearby, agrees_nearby, spread), misfit = at_once(said, seen)
     return Evidence(
         confirmed=sure,
         flow_agrees=agrees,
-        confirmed_nearby=cv2.blur(sure, CONFIRMED_NEARBY),
-        flow_agrees_nearby=cv2.blur(agrees, FLOW_NEARBY),
-        misfit=left_over / np.float32(2 * grain * grain),
-        spread=cv2.dilate(d, near) - cv2.erode(d, near),
+        confirmed_nearby=confirmed_nearby,
+        flow_agrees_nearby=agrees_nearby,
+        misfit=misfit,
+        spread=spread,
         sigma=refined.sigma_px,
         clumped=refined.clumped,
     )
@@ -110,10 +119,17 @@ def sigma_from_evidence(e: Evidence, confidence: Float32) -> Float32:
     errors that hang together.
     """
     always, own, doubt, together = (np.float32(c) for c in SIGMA_COEFFICIENTS)
-    log = always + own * np.log(np.maximum(e.sigma, np.float32(1e-3)) / np.float32(0.03))
-    log += doubt * np.log((np.float32(1.005) - confidence) / np.float32(0.02))
-    log += together * np.log(np.maximum(e.clumped, np.float32(LEAST_CLUMPED)) / np.float32(USUALLY_CLUMPED))
-    return np.minimum(np.float32(0.03) * np.exp(log), np.float32(MOST_SIGMA_PX)).astype(np.float32)
+    out = np.empty_like(confidence)
+
+    def run(first: int, end: int) -> None:
+        rows = slice(first, end)
+        log = always + own * np.log(np.maximum(e.sigma[rows], np.float32(1e-3)) / np.float32(0.03))
+        log += doubt * np.log((np.float32(1.005) - confidence[rows]) / np.float32(0.02))
+        log += together * np.log(np.maximum(e.clumped[rows], np.float32(LEAST_CLUMPED)) / np.float32(USUALLY_CLUMPED))
+        out[rows] = np.minimum(np.float32(0.03) * np.exp(log), np.float32(MOST_SIGMA_PX))
+
+    in_row_blocks(run, out.shape[0], block_rows=64)
+    return out
 
 
 def reasons(refined: Refined, confirmed: Bool, left_known: Bool, right_known: Bool) -> UInt16:

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from stereorelight.arrays import Float32, UInt8
+from stereorelight.arrays import Float32
 from stereorelight.camera import Eye
 from stereorelight.engine.distance import distances
 from stereorelight.engine.occlusion import consistent
@@ -71,9 +71,10 @@ def _matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> M
     return match_by(matcher_named(settings.matcher), settings.matcher.partition(":")[0], proxy, search)
 
 
-def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings, picture: UInt8) -> RectifiedDepth:
-    """From the half-size `proxy`, the disparity carried up with the edges of the full-size `picture`."""
-    depth = _of_pair(proxy, search, replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX)), None)
+def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings, plate: Float32, eye: Eye) -> RectifiedDepth:
+    """From the half-size `proxy`, the disparity carried up with the edges of the full-size `plate`."""
+    half = replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX))
+    depth, picture = at_once(lambda: _of_pair(proxy, search, half, None), lambda: picture_of(plate, eye))
     size = (picture.shape[0], picture.shape[1])
     return RectifiedDepth(
         refined=full_size(depth.refined, picture),
@@ -97,10 +98,14 @@ def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow
     refined = refine(proxy, dense, confirmed, known=known, ramps=settings.matcher != OWN, calm=found.calm, effort=EFFORTS[settings.quality])
     evidence = belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity)
     confidence = belief.confidence_from_evidence(evidence)
+    sigma, flags = at_once(
+        lambda: belief.sigma_from_evidence(evidence, confidence),
+        lambda: belief.reasons(refined, confirmed, proxy.left_known, proxy.right_known),
+    )
     return RectifiedDepth(
-        refined=replace(refined, sigma_px=belief.sigma_from_evidence(evidence, confidence)),
+        refined=replace(refined, sigma_px=sigma),
         confidence=confidence,
-        flags=belief.reasons(refined, confirmed, proxy.left_known, proxy.right_known),
+        flags=flags,
         vertical_px=float("nan") if flow is None else flow.vertical_px,
     )
 
@@ -185,20 +190,20 @@ def recover(
         raise PlateError(f"disparities {reach.low} to {reach.high} px do not fit plates {wide} px wide; check near_m and far_m against the rig")
     pair = proxy if eye == "left" else proxy.flipped()
     if draft:
-        picture = picture_of(views[0] if eye == "left" else np.ascontiguousarray(views[1][:, ::-1]), eye)
-        depth, search = _draft(pair, search, settings, picture), search.doubled()
+        plate = views[0] if eye == "left" else np.ascontiguousarray(views[1][:, ::-1])
+        depth, search = _draft(pair, search, settings, plate, eye), search.doubled()
     else:
         depth = _of_pair(pair, search, settings, flow)
     depth = depth if eye == "left" else _flipped(depth)
-    rectified = Frame(
-        passes={
+
+    def on_rectified() -> Frame:
+        passes = {
             "disparity": depth.refined.disparity,
             "disparity_sigma": depth.refined.sigma_px,
             "confidence": depth.confidence,
             "flags": depth.flags,
-        },
-        camera=rig.left if eye == "left" else rig.right,
-        eye=eye,
-    )
-    frame = depth_on_plate(depth, rectification, eye=eye, fill=settings.fill)
+        }
+        return Frame(passes=passes, camera=rig.left if eye == "left" else rig.right, eye=eye)
+
+    frame, rectified = at_once(lambda: depth_on_plate(depth, rectification, eye=eye, fill=settings.fill), on_rectified)
     return Recovered(frame=frame, rectified=rectified, search=search, vertical_px=depth.vertical_px, colour=colour)

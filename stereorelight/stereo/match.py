@@ -15,6 +15,7 @@ import numpy.typing as npt
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.camera import RectifiedRig
 from stereorelight.engine.occlusion import background, consistent
+from stereorelight.engine.rows import in_row_blocks
 from stereorelight.engine.support import supported
 from stereorelight.errors import PlateError
 from stereorelight.stereo.halves import half_proxy, nearest
@@ -128,9 +129,19 @@ def semi_global(proxy: Proxy, search: DisparityRange) -> Match:
 
 def without_speckles(disparity: Float32, smallest_px: int) -> Float32:
     """`disparity`, NaN on islands of fewer pixels."""
-    sixteenths = np.clip(np.rint(disparity * 16), -32000, 32000).astype(np.int16)
+    sixteenths, out = np.empty(disparity.shape, np.int16), np.empty_like(disparity)
+
+    def coded(first: int, end: int) -> None:
+        whole = np.clip(np.rint(disparity[first:end] * 16), -32000, 32000)
+        sixteenths[first:end] = np.where(np.isnan(whole), NOWHERE, whole)
+
+    def kept(first: int, end: int) -> None:
+        out[first:end] = np.where(sixteenths[first:end] == NOWHERE, np.float32(np.nan), disparity[first:end])
+
+    in_row_blocks(coded, disparity.shape[0], block_rows=64)
     cv2.filterSpeckles(sixteenths, NOWHERE, smallest_px, 16)
-    return np.where(sixteenths == NOWHERE, np.float32(np.nan), disparity)
+    in_row_blocks(kept, disparity.shape[0], block_rows=64)
+    return out
 
 
 def _right_px(matcher: cv2.StereoSGBM, proxy: Proxy, search: DisparityRange) -> Float32:
@@ -210,7 +221,7 @@ def _coarse(proxy: Proxy) -> tuple[Proxy, float]:
         return cv2.resize(a, size, interpolation=cv2.INTER_AREA)
 
     def known(a: Bool) -> Bool:
-        return cv2.resize(a.view(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) == 255
+        return np.ones(size[::-1], np.bool_) if a.all() else cv2.resize(a.view(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) == 255
 
     left, right = small(proxy.left_grey), small(proxy.right_grey)
     shrunk = Proxy(
