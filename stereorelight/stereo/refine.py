@@ -66,7 +66,8 @@ class Refined:
 class Effort:
     """How much refinement a quality buys.
 
-    passes : of the first plane fit.   rounds : of looking at the pictures again from the better surface.
+    passes : of the first plane fit, which looks at every `stride`-th pixel and is blended with its neighbours' `blends` times.
+    rounds : of looking at the pictures again from the better surface.
     steps  : of the solver on each level of a round.
     finest : the level that rounds before the last stop at, 0 the full size, 1 half of it: they only bring the surface near enough for
              the last to look at the pictures from.
@@ -76,12 +77,14 @@ class Effort:
     rounds: int
     steps: int
     finest: int = 0
+    stride: int = 4
+    blends: int = 1
 
 
 EFFORTS = {
     "draft": Effort(passes=1, rounds=1, steps=5),
     "standard": Effort(passes=1, rounds=3, steps=8, finest=1),
-    "fine": Effort(passes=2, rounds=4, steps=14),
+    "fine": Effort(passes=2, rounds=4, steps=14, stride=3, blends=2),
 }
 JUMP_PX = 1.5  # a step between neighbours that no surface worth lighting makes
 EDGE_PX = 4  # how far from a step a pixel may be on the wrong side of it
@@ -292,8 +295,10 @@ def refine(
     else:
         filled = lined(filled, calm)
     if effort.passes:
-        planes = robust_planes(filled, trust, radius=6, stride=3, tau_px=tau_px, passes=effort.passes)
-        filled = blended(blended(planes, tau_px=tau_px), tau_px=tau_px)[0]
+        planes = robust_planes(filled, trust, radius=6, stride=effort.stride, tau_px=tau_px, passes=effort.passes)
+        for _ in range(effort.blends):
+            planes = blended(planes, tau_px=tau_px)
+        filled = planes[0]
     if ramps:
         filled = sided(filled, proxy)
     surface = photometric_surface(proxy, filled, trust, effort=effort)

@@ -1,12 +1,13 @@
 """Depth on the Motorcycle pair against truth, and its time against SGBM_3WAY bs3 + WLS in the same process.
 
 Run:  python tests/benchmarks/bench_depth.py [runs]
-Prints a row per quality: cover, bad2 (non-occluded and all), bad0.5, N5 median and share under 11.25 degrees, and the ratio of
-median times, everything included (tone match, range search, both eyes, flow, refinement, confidence, flags)."""
+Prints a row per quality: cover, bad2 (non-occluded and all), bad0.5, N5 median and share under 11.25 degrees, and how many times the
+yardstick's time, everything included (tone match, range search, both eyes, flow, refinement, confidence, flags).  Each round runs every
+job once, and the ratio is the median of the rounds' own: what slows a round down slows all of its jobs.  CPU time beside it tells how
+much of both cores a job used, and hardly depends on who else uses them."""
 
 from __future__ import annotations
 
-import statistics
 import sys
 import time
 
@@ -61,7 +62,7 @@ def pair_of_plates() -> tuple[np.ndarray, np.ndarray, Rectification]:
     return linear(pair.left), linear(pair.right), rectification(rig)
 
 
-def main(runs: int = 9) -> None:
+def main(runs: int = 15) -> None:
     set_threads()
     pair = motorcycle()
     left8, right8 = (np.ascontiguousarray(p[..., ::-1]) for p in (pair.left, pair.right))
@@ -69,17 +70,20 @@ def main(runs: int = 9) -> None:
     jobs = {"3WAY bs3 + WLS": lambda: yardstick(left8, right8), "3WAY bs3 + WLS 200": lambda: yardstick(left8, right8, 200.0)}
     for quality in QUALITIES:
         jobs[quality] = lambda quality=quality: recover(left, right, rectified, settings=DepthSettings(quality=quality)).rectified["disparity"]
-    times: dict[str, list[float]] = {name: [] for name in jobs}
     results = {name: job() for name, job in jobs.items()}
-    for _ in range(runs):
-        for name, job in jobs.items():
-            start = time.perf_counter()
+    for job in jobs.values():  # once more: caches, memory and the threads of either library are warm then
+        job()
+    times = np.empty((runs, len(jobs), 2))
+    for round_ in times:
+        for i, job in enumerate(jobs.values()):
+            wall, cpu = time.perf_counter(), time.process_time()
             job()
-            times[name].append(time.perf_counter() - start)
-    base = statistics.median(times["3WAY bs3 + WLS"])
-    for name, disparity in results.items():
-        print(f"{name:20s} {figures(disparity)}  time {statistics.median(times[name]) / base:.2f} x", flush=True)
+            round_[i] = time.perf_counter() - wall, time.process_time() - cpu
+    ratios = times / times[:, :1]
+    for i, (name, disparity) in enumerate(results.items()):
+        (low, high), (wall, cpu) = np.quantile(ratios[:, i, 0], (0.25, 0.75)), np.median(ratios[:, i], axis=0)
+        print(f"{name:20s} {figures(disparity)}  time {wall:.2f} x (half of the rounds {low:.2f} to {high:.2f}), CPU {cpu:.2f} x", flush=True)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 9)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 15)
