@@ -64,6 +64,19 @@ def test_every_frame_trusts_the_ball_alike(plain_ball: Path) -> None:
     assert np.ptp(explained) > 0.005  # by itself, each frame would have said something else
 
 
+def test_sigma_of_shaded_normals_is_of_the_size_of_their_error(plain_ball: Path) -> None:
+    """In each of five bins, on a ball that had no part in the fit."""
+    errors, told = [], []
+    for n in NUMBERS:
+        truth, found = (read_frame(plain_ball / what / f"sphere.{n}.exr") for what in ("truth", "out/passes"))
+        ball = ndimage.binary_erosion(truth["Z"] < 2, iterations=6)
+        errors.append(angle_deg(found["N"], truth["N"])[ball])
+        told.append(found["N_sigma"][ball])
+    error, sigma = np.concatenate(errors), np.concatenate(told)
+    bins = np.digitize(sigma, np.quantile(sigma, [0.2, 0.4, 0.6, 0.8]))
+    print([round(float(np.quantile(error[bins == k], 0.68) / np.median(sigma[bins == k])), 2) for k in range(5)])
+
+
 def test_normals_are_better_and_no_less_steady(plain_ball: Path) -> None:
     """Over the ball, against its truth and along its true motion: shading and steadied depth against steadied depth alone."""
     truth = [read_frame(plain_ball / "truth" / f"sphere.{n}.exr") for n in NUMBERS]

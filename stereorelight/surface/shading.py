@@ -36,7 +36,8 @@ Quality = Literal["standard", "fine"]
 f4 = np.float32
 
 LEAST_SIGMA = 1e-5  # of Z, relative
-SIGMA_COEFFICIENTS = (2.684, 0.369, 0.175, -0.452)  # of N_sigma: see `_doubt` and docs/shading.md
+SIGMA_COEFFICIENTS = (2.753, 0.441, 0.230, -0.523)  # of N_sigma: see `_doubt` and docs/shading.md
+PIXELS_PER_M = 880.0  # of a surface, where the first of them alone counts
 CLIPPED, BLACK = 0.98, 2e-3
 JUDGED_WIDTH = 480  # of the level at which materials are tested against disparity
 
@@ -63,10 +64,10 @@ class ShadedSurface:
 
 
 def _doubt(level: Level, state: State, N: Float32, given: Float32, share: Float32) -> Float32:
-    """(H, W) degrees within which two thirds of the normals made by shading lie, as 23 faces and shirts with known normals have it.
+    """(H, W) degrees within which two thirds of the normals made by shading lie, as 14 faces, shirts and statues with known normals have it.
 
-    It grows with what shading does not explain nearby and with how far normals were moved, and falls with the size of the frame: the
-    same feature has more pixels there.
+    It grows with what shading does not explain nearby and with how far normals were moved, and falls with the pixels that a metre of
+    the surface has: the same feature has more of them.
     """
     k = level.v.shape[1] / 960
     inside = (share > 0).astype(np.float32)
@@ -75,7 +76,7 @@ def _doubt(level: Level, state: State, N: Float32, given: Float32, share: Float3
     doubted = np.log(around(1 - state.weight, inside, 4 * k) + f4(0.05))
     pushed = np.log(around(np.nan_to_num(moved, nan=0.0).astype(np.float32), inside, 4 * k) + f4(0.5))
     c = SIGMA_COEFFICIENTS
-    sigma: Float32 = np.exp(c[0] + c[1] * doubted + c[2] * pushed + c[3] * math.log(k)).astype(np.float32)
+    sigma: Float32 = np.exp(c[0] + c[1] * doubted + c[2] * pushed + c[3] * (state.v + math.log(level.focal / PIXELS_PER_M))).astype(np.float32)
     return np.clip(sigma, 0.5, 90)
 
 
