@@ -24,7 +24,7 @@ f4 = np.float32
 SMALLEST_SIZE = (16, 56)  # height and width below which there is no coarser level
 STEEPEST = 5.0  # slope beyond which neighbouring pixels are of two surfaces (79 deg)
 EDGE_SIGMAS = 3.0  # and what noise may add to it
-CORRELATED_PX = 22.0  # distance over which errors of a disparity become others: measured, see docs/shading.md
+CORRELATED_PX = 12.0  # distance over which errors of a disparity become others: measured, see docs/shading.md
 LEAST_N_SIGMA = 0.5  # degrees
 OUTLINE_SHARE = 1 / 320  # of the width: over so much to either side ...
 OUTLINE_STEEP = 2.5  # ... no surface falls so steeply (68 deg): an outline, where shading is farther off than disparity
@@ -198,8 +198,8 @@ def _slopes(N: Float32, N_sigma: Float32, sigma: Float32, focal: float, x: Float
         p, q = -N[..., 0] * s, N[..., 1] * s
         steep = 1 + p * p + q * q
         own = np.radians(np.maximum(N_sigma, f4(LEAST_N_SIGMA))) * steep
-        # Fits to a depth that is wrong over wide patches look better than they are: no slope is better than its disparity allows.
-        variance = np.maximum(own, sigma * f4(math.sqrt(2) * focal / CORRELATED_PX)) ** 2
+        # What windows say of their own normals and what the depth's doubt says of slopes are each off by half, and not in the same places.
+        variance = own * np.maximum(sigma * f4(math.sqrt(2) * focal / CORRELATED_PX), f4(1e-6))
     sure = np.isfinite(p) & np.isfinite(q) & np.isfinite(variance)
 
     def where_sure(a: Float32, other: float) -> Float32:

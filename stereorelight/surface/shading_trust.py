@@ -23,7 +23,7 @@ LEAST_SHARE = (0.38, 0.5)  # of the variance of brightness, explained by normals
 MUCH_GAIN = (8.0, 2.5)  # ... knows so much less than shading would
 HALF_SURE = 0.08  # of that share, to either side of the least: in between a material is shaded in part, so that frames do not jump
 LEAST_TURN_DEG = (15.0, 20.0)  # median angle of normals to their mean: flat but for noise, and surely not flat
-LEAST_GAIN = (0.5, 0.7)  # error of the given normals over that of shading's: of no use, and of use
+LEAST_GAIN = (0.9, 1.2)  # error of the given normals over that of shading's: of no use, and of use
 LEAST_PATCHES = (6.0, 12.0)  # that differ by more than chance, about the nine numbers of a light that is to be told from them
 MOST_SENSITIVE = 0.9  # change of log brightness per radian: more than light on matter does
 
