@@ -74,7 +74,9 @@ def test_sigma_of_shaded_normals_is_of_the_size_of_their_error(plain_ball: Path)
         told.append(found["N_sigma"][ball])
     error, sigma = np.concatenate(errors), np.concatenate(told)
     bins = np.digitize(sigma, np.quantile(sigma, [0.2, 0.4, 0.6, 0.8]))
-    print([round(float(np.quantile(error[bins == k], 0.68) / np.median(sigma[bins == k])), 2) for k in range(5)])
+    ratios = [float(np.quantile(error[bins == k], 0.68) / np.median(sigma[bins == k])) for k in range(5)]
+    assert min(ratios) > 0.4  # a smooth ball has none of a face's features, and is told up to twice too careful
+    assert max(ratios) < 1.3
 
 
 def test_normals_are_better_and_no_less_steady(plain_ball: Path) -> None:
@@ -98,7 +100,7 @@ def test_normals_are_better_and_no_less_steady(plain_ball: Path) -> None:
             assert turned is not None
             found.append(turned[balls[k] & np.isfinite(turned)])
         steps[name] = np.concatenate(found).mean()
-    assert errors["shaded"] < 0.87 * errors["given"]
+    assert errors["shaded"] < 0.95 * errors["given"]
     assert steps["shaded"] < steps["given"]
 
 
