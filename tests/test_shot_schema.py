@@ -152,10 +152,16 @@ def test_key_lines_see_tables_arrays_and_comments() -> None:
 
 @pytest.mark.parametrize(
     ("quality", "surface", "shades"),
-    [("fine", "", True), ("standard", "", False), ("draft", "", False), ("standard", 'shading = "on"', True), ("fine", 'shading = "off"', False)]
-    + [("fine", 'method = "difference"', False)],
+    [
+        ("fine", "", False),
+        ("fine", 'shading = "auto"', True),
+        ("standard", 'shading = "auto"', False),
+        ("standard", 'shading = "on"', True),
+        ("fine", 'shading = "off"', False),
+    ]
+    + [("fine", 'method = "difference"\nshading = "auto"', False)],
 )
-def test_shading_comes_with_fine_depth(tmp_path: Path, quality: str, surface: str, shades: bool) -> None:
+def test_shading_comes_when_asked_for(tmp_path: Path, quality: str, surface: str, shades: bool) -> None:
     assert read_shot(shot(tmp_path, f'{SMALLEST}\n[depth]\nquality = "{quality}"\n[surface]\n{surface}\n')).shades == shades
 
 

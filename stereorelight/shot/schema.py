@@ -82,7 +82,7 @@ class DepthTable(Table):
 
 class SurfaceTable(Table):
     method: Literal["plane", "difference"] = "plane"
-    shading: Literal["auto", "off", "on"] = "auto"
+    shading: Literal["auto", "off", "on"] = "off"
     shading_strength: float = Field(default=1.0, gt=0, le=4)
 
     @model_validator(mode="before")
@@ -178,7 +178,7 @@ class Shot:
 
     @property
     def shades(self) -> bool:
-        """Whether the plate's shading has a say in normals: as the file says, else where depth is `fine`."""
+        """Whether the plate's shading has a say in normals: as the file says; "auto" where depth is `fine`."""
         told = self.tables.surface
         return told.method == "plane" and (told.shading == "on" or (told.shading == "auto" and self.depth.quality == "fine"))
 
