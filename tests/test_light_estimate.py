@@ -13,6 +13,7 @@ from stereorelight.light.albedo import albedo_of, exposure_of
 from stereorelight.light.estimate import estimate_lighting
 from stereorelight.light.plate_lighting import PlateLighting
 from stereorelight.shot.depths import surface_of
+from stereorelight.shot.job import MATCH_NOISE_PX
 from stereorelight.shot.plate_light import Reference, divided, estimated, shadow_of
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.rectify import rectification
@@ -33,7 +34,7 @@ def recovered(name: str) -> Reference:
     """The bust's passes from its two plates."""
     lit = bust_under(name, 480)
     depth = recover(lit.frame["plate"], lit.right, rectification(lit.rig)).frame
-    surface = surface_of(depth, noise_per_m=0.05 / (lit.rig.left.fx * lit.rig.baseline_m))
+    surface = surface_of(depth, noise_per_m=MATCH_NOISE_PX / (lit.rig.left.fx * lit.rig.baseline_m))
     more = {key: depth[key] for key in ("confidence", "flags", "Z_sigma")}
     return Reference(number=None, plate=lit.frame["plate"], passes={**surface, **more}, camera=lit.rig.left)
 
