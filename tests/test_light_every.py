@@ -1,7 +1,7 @@
 """Ball, wall and box under every kind of light and on every material, against what is worked out by hand in float64.
 
-Geometry in closed form; lights with a size by summing over what shines; GGX by its formula and its own compensation.  The highlights
-of lights with a size are an approximation (docs/limits.md) and are held elsewhere, on their axis and where they grow small."""
+Geometry in closed form; lights with a size by summing over what shines; GGX by its formula and its own compensation.  Phong's highlights
+of lights with a size are held in test_light_highlights.py; those of GGX are an approximation (docs/limits.md), held where they grow small."""
 
 from __future__ import annotations
 
