@@ -35,6 +35,8 @@ from stereorelight.cli.common import (
 @click.option("--matcher", default="sgbm", show_default=True, metavar="NAME", help="sgbm, onnx:model.onnx, or a registered name.")
 @click.option("--near", "near_m", type=float, metavar="M", help="Nearest distance to search, metres; found from the plates when left out.")
 @click.option("--far", "far_m", type=float, metavar="M", help="Farthest one.")
+@click.option("--subject", metavar="FILE-or-PATTERN", help="A matte on the upright left plate: depth steps on its edge.")
+@click.option("--ignore", metavar="FILE-or-PATTERN", help="A matte of what no depth may be read from: a reflection, a flare.")
 @pairing_options
 @frames_option
 @space_option
@@ -50,6 +52,8 @@ def command(
     matcher: str,
     near_m: float | None,
     far_m: float | None,
+    subject: str | None,
+    ignore: str | None,
     layout: str,
     sync: str,
     right_late_frames: int,
@@ -71,6 +75,7 @@ def command(
     from stereorelight.errors import ShotError
     from stereorelight.footage.frames import write_frame
     from stereorelight.interchange.rigs import read_rig
+    from stereorelight.shot.hints import read_hints
     from stereorelight.shot.pairs import flip_word, pairs, read_upright, recover_pair
     from stereorelight.shot.steps import depth_figures
     from stereorelight.stereo.matchers import check_matcher
@@ -84,6 +89,8 @@ def command(
     eyes: tuple[Eye, ...] = ("left", "right") if eye == "both" else (eye,)
     if eye == "both" and "%V" not in out and "%v" not in out:
         raise ShotError(f"--out {out} is one name for two eyes; give %V for the eye, such as z.%V.exr")
+    if (subject or ignore) and eye != "left":
+        raise ShotError(f"--subject and --ignore are mattes of the left plate, and cannot help --eye {eye}; leave one of them out")
     paths = {one: outputs_for(out.replace("%V", one).replace("%v", one[0]), [pair.number for pair in found], force=force) for one in eyes}
     results = []
     with Bar("depth", total=len(found)) as bar:
@@ -91,7 +98,7 @@ def command(
             bar.note(pair.name)
             plates = read_upright(pair, rectified)
             for one in eyes:
-                frame = recover_pair(pair, plates, rectified, settings=settings, eye=one).frame
+                frame = recover_pair(pair, plates, rectified, settings=settings, eye=one, hints=read_hints(subject, ignore, pair.number)).frame
                 clip, number = pair.clip(one)
                 named = replace(frame, number=pair.number, metadata=flip_word(rectified, one))
                 write_frame(paths[one][index], named, force=force, timecode=clip.timecode(number), rate=clip.rate)

@@ -25,6 +25,7 @@ from stereorelight.shot.neighbours import Neighbours
 from stereorelight.shot.pairs import EYES, Pair, eyes_of_shot, pairs_of
 from stereorelight.shot.plate_light import Reference
 from stereorelight.shot.receipt import Receipt, code_digest, digest, file_digest, versions
+from stereorelight.shot.hints import check_hints, hints_key
 from stereorelight.shot.repairs import Repairs
 from stereorelight.shot.schema import Shot, read_shot
 from stereorelight.shot.steps import STEPS, Step, colour_key, matcher_key
@@ -89,7 +90,7 @@ class Prepared:
             return FrameJob(shot=self.shot, rectification=self.rigs.of(pair), pair=pair).judged()
 
         def depends(pair: Pair) -> Any:
-            return [_rig_key(self, pair), settings]
+            return [_rig_key(self, pair), settings, hints_key(self.shot, [pair])]
 
         return MaterialsOfShot(numbers, judge, depends=depends, path=self.shot.folder / "materials.json") if numbers else None
 
@@ -144,7 +145,8 @@ class Prepared:
             repaired = None if self.repairs is None else self.repairs.key(pair)
             files = [file_digest(self.lighting._path(name, pair.number)) for name in self.shot.setup.files_at(pair.number)]
             shaded = None if self.materials is None else self.materials.key
-            return [pair.digest("left"), pair.digest("right"), near, repaired, self.mends.values.get(pair.name), files, shaded]
+            hints = hints_key(self.shot, [pair, *self.near.pairs_about(pair).values()])
+            return [pair.digest("left"), pair.digest("right"), near, repaired, self.mends.values.get(pair.name), files, shaded, hints]
 
         return made, key
 
@@ -189,6 +191,7 @@ def prepare(path: str | Path, frames: str | None = None) -> Prepared:
     )
     if ready.repairs is not None:
         ready.repairs.check()
+    check_hints(shot, ready.pairs)
     ready.lighting.check([pair.number for pair in ready.pairs])
     return ready
 
@@ -250,6 +253,8 @@ def run_frame(
     sources: dict[str, Any] = {"left": pair.digest("left"), "right": pair.digest("right"), "rig": _rig_key(ready, pair)}
     if about := ready.near.inputs_about(pair):
         sources["near"] = [[k, *digests, _rig_key(ready, other)] for k, (other, digests) in about.items()]
+    if (mattes := hints_key(shot, [pair, *ready.near.pairs_about(pair).values()])) is not None:
+        sources["hints"] = mattes
     if ready.repairs is not None and (painted := ready.repairs.key(pair)) is not None:
         sources["repairs"] = painted
     receipt.head = _head(ready, pair, sources)

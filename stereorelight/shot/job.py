@@ -16,6 +16,7 @@ from stereorelight.errors import PassError
 from stereorelight.footage.frames import read_frame, write_frame
 from stereorelight.passes import Frame
 from stereorelight.shot.depths import material_test, shaded, surface_of
+from stereorelight.shot.hints import hints_of
 from stereorelight.shot.lighting import Lighting
 from stereorelight.shot.lit import Lit
 from stereorelight.shot.materials import MaterialsOfShot
@@ -118,7 +119,8 @@ class FrameJob:
             self.search_figures = figures | {"time_frames": list(found.frames), "regained_percent": round(100 * found.regained, 2)}
         else:
             match_colour = self.shot.tables.plates.match_colour
-            alone = recover_pair(self.pair, self.plates, self.rectification, settings=self.shot.depth, match_colour=match_colour)
+            hints = hints_of(self.shot, self.pair)
+            alone = recover_pair(self.pair, self.plates, self.rectification, settings=self.shot.depth, match_colour=match_colour, hints=hints)
             raw, self.search_figures = alone.frame, search_figures(alone)
         frame = replace(raw, number=self.pair.number, metadata=self.words("depth"))
         if self.repairs is not None:

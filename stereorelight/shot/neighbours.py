@@ -16,6 +16,7 @@ from stereorelight.arrays import Float32
 from stereorelight.errors import PlateError
 from stereorelight.footage.eyes import Eyes
 from stereorelight.footage.sequence import frame_range
+from stereorelight.shot.hints import hints_of
 from stereorelight.shot.pairs import Pair, read_upright, recover_pair
 from stereorelight.shot.schema import Shot
 from stereorelight.stereo.depth import Recovered
@@ -119,7 +120,7 @@ class Neighbours:
             both = plates or read_upright(pair, rectified, colour=self._shot.colour)
             if ahead and self._eyes.left.is_movie:  # going back in a movie is dear
                 self._plates.of(pair.number, lambda: both[0])
-            found = recover_pair(pair, both, rectified, settings=self._shot.depth, match_colour=match_colour)
+            found = recover_pair(pair, both, rectified, settings=self._shot.depth, match_colour=match_colour, hints=hints_of(self._shot, pair))
             return Alone(figures=search_figures(found), told=glimpse(both[0], found.frame, px_m=self._px_m))
 
         return self._alone.of(pair.number, make)

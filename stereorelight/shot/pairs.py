@@ -17,6 +17,7 @@ from stereorelight.footage.eyes import Eyes, open_eyes
 from stereorelight.footage.plates import check_pair
 from stereorelight.shot.schema import Shot
 from stereorelight.stereo.depth import MatchColour, Recovered, recover
+from stereorelight.stereo.hints import Hints
 from stereorelight.stereo.rectify import Rectification
 from stereorelight.stereo.settings import DepthSettings
 
@@ -114,10 +115,11 @@ def recover_pair(
     settings: DepthSettings,
     eye: Eye = "left",
     match_colour: MatchColour = "off",
+    hints: Hints | None = None,
 ) -> Recovered:
     """`stereo.depth.recover` of upright plates; its PlateErrors name the two files."""
     try:
-        return recover(*plates, rectification, settings=settings, eye=eye, match_colour=match_colour)
+        return recover(*plates, rectification, settings=settings, eye=eye, match_colour=match_colour, hints=hints)
     except PlateError as error:
         raise PlateError(f"{pair.plate_name('left')} and {pair.plate_name('right')}: {error}") from None
 

@@ -78,6 +78,8 @@ class DepthTable(Table):
     matcher: str = Field(default="sgbm", min_length=1)
     time: Literal["on", "off"] = "on"
     time_window: int = 2
+    subject: str | None = Field(default=None, min_length=1)
+    ignore: str | None = Field(default=None, min_length=1)
 
 
 class SurfaceTable(Table):
@@ -365,7 +367,7 @@ def read_shot(path: str | Path) -> Shot:
     path = Path(path)
     tables, lines = _checked_tables(path, ShotTables)
     try:
-        depth = DepthSettings(**tables.depth.model_dump() | {"matcher": from_folder(tables.depth.matcher, path.parent)})
+        depth = DepthSettings(**tables.depth.model_dump(exclude={"subject", "ignore"}) | {"matcher": from_folder(tables.depth.matcher, path.parent)})
         check_matcher(depth.matcher)
     except StereoRelightError as error:
         key = next((k for k in DepthTable.model_fields if k in str(error)), "quality")

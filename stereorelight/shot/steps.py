@@ -154,7 +154,7 @@ STEPS: tuple[Step, ...] = (
     Step(
         name="depth",
         sources=True,
-        rooms=("stereo", "footage", "engine", "shot/job.py", "shot/neighbours.py"),
+        rooms=("stereo", "footage", "engine", "shot/job.py", "shot/neighbours.py", "shot/hints.py"),
         settings=lambda shot: [shot.tables.depth.model_dump(), matcher_key(shot), shot.tables.plates.match_colour, colour_key(shot)],
         files=lambda job: [job.depth_path],
         make=_make_depth,

@@ -24,6 +24,7 @@ from stereorelight.stereo.colour_match import match_colour as colour_matched
 from stereorelight.stereo.draft import full_size
 from stereorelight.stereo.flow import FlowMatch, flow_disparity
 from stereorelight.stereo.halves import half_rig, half_view, nearest
+from stereorelight.stereo.hints import Hinted, Hints, hinted
 from stereorelight.stereo.match import DisparityRange, Match, coarse_disparity, match, search_range
 from stereorelight.stereo.matchers import OWN, match_by, matcher_named
 from stereorelight.stereo.proxy import Proxy, matching_proxy, picture_of
@@ -71,10 +72,10 @@ def _matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> M
     return match_by(matcher_named(settings.matcher), settings.matcher.partition(":")[0], proxy, search)
 
 
-def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings, plate: Float32, eye: Eye) -> RectifiedDepth:
+def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings, plate: Float32, eye: Eye, hints: Hinted | None) -> RectifiedDepth:
     """From the half-size `proxy`, the disparity carried up with the edges of the full-size `plate`."""
     half = replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX))
-    depth, picture = at_once(lambda: _of_pair(proxy, search, half, None), lambda: picture_of(plate, eye))
+    depth, picture = at_once(lambda: _of_pair(proxy, search, half, None, hints), lambda: picture_of(plate, eye))
     size = (picture.shape[0], picture.shape[1])
     return RectifiedDepth(
         refined=full_size(depth.refined, picture),
@@ -84,7 +85,7 @@ def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings, plate:
     )
 
 
-def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None) -> RectifiedDepth:
+def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None, hints: Hinted | None) -> RectifiedDepth:
     """Match, check, refine and judge the left eye of a rectified pair; `flow` is the second opinion, None in a draft."""
     found = _matched(proxy, search, settings)
     confirmed = consistent(found.left, found.right, within_px=settings.consistency_px)
@@ -95,7 +96,15 @@ def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow
             useful = ~known & (np.abs(flow.disparity - dense) <= 2 * settings.consistency_px)
         dense = np.where(useful, flow.disparity, dense)
         known |= useful
-    refined = refine(proxy, dense, confirmed, known=known, ramps=settings.matcher != OWN, calm=found.calm, effort=EFFORTS[settings.quality])
+    subject = None if hints is None else hints.subject
+    ignore = None if hints is None else hints.ignore
+    if ignore is not None:
+        confirmed, known = confirmed & ~ignore, known & ~ignore
+        flow = None if flow is None else replace(flow, disparity=np.where(ignore, np.float32(np.nan), flow.disparity))
+    refined = refine(
+        proxy, dense, confirmed, known=known, ramps=settings.matcher != OWN, calm=found.calm, effort=EFFORTS[settings.quality],
+        subject=subject, ignore=ignore,
+    )  # fmt: skip
     evidence = belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity)
     confidence = belief.confidence_from_evidence(evidence)
     sigma, flags = at_once(
@@ -159,12 +168,14 @@ def recover(
     settings: DepthSettings | None = None,
     eye: Eye = "left",
     match_colour: MatchColour = "off",
+    hints: Hints | None = None,
 ) -> Recovered:
     """Depth of `eye` from upright scene-linear plates.
 
     left, right  : (H, W, 3) float32, NaN where a plate is broken.
     match_colour : give the right eye the left one's colours first, by what both see: "global", or "local" with a smooth field.
-    Raises      : PlateError when sizes do not fit the rig, nothing matches, or the eyes look swapped.
+    hints        : mattes on the plate of `eye`: what to ignore, and where the subject ends.
+    Raises       : PlateError when sizes do not fit the rig, nothing matches, or the eyes look swapped.
     """
     settings = settings or DepthSettings()
     views = rectification.rectify(left, "left"), rectification.rectify(right, "right")
@@ -189,11 +200,12 @@ def recover(
         wide, reach = views[0].shape[1], search.doubled() if draft else search
         raise PlateError(f"disparities {reach.low} to {reach.high} px do not fit plates {wide} px wide; check near_m and far_m against the rig")
     pair = proxy if eye == "left" else proxy.flipped()
+    mattes = hinted(hints, rectification, eye, size_hw=(pair.left_grey.shape[0], pair.left_grey.shape[1]))
     if draft:
         plate = views[0] if eye == "left" else np.ascontiguousarray(views[1][:, ::-1])
-        depth, search = _draft(pair, search, settings, plate, eye), search.doubled()
+        depth, search = _draft(pair, search, settings, plate, eye, mattes), search.doubled()
     else:
-        depth = _of_pair(pair, search, settings, flow)
+        depth = _of_pair(pair, search, settings, flow, mattes)
     depth = depth if eye == "left" else _flipped(depth)
 
     def on_rectified() -> Frame:

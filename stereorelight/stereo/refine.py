@@ -23,6 +23,7 @@ from stereorelight.engine.photometric import held_evidence, row_splines, spline_
 from stereorelight.engine.pyramid import doubled, halved
 from stereorelight.engine.refine import blended, robust_planes
 from stereorelight.engine.windows import less_local_means
+from stereorelight.stereo.hints import on_matte_edge
 from stereorelight.stereo.proxy import Proxy
 
 
@@ -269,6 +270,8 @@ def refine(
     calm: UInt8 | None = None,
     effort: Effort = EFFORTS["standard"],
     tau_px: float = 0.5,
+    subject: Bool | None = None,
+    ignore: Bool | None = None,
 ) -> Refined:
     """The refined disparity of the left eye.
 
@@ -277,6 +280,8 @@ def refine(
     ramps     : the matcher leaves ramps and fattened outlines at edges, which are then taken out first.
     calm      : the left picture with less grain, to tell things apart by.
     tau_px    : how far off a plane a neighbour may lie and still belong to the surface.
+    subject   : (H, W), what stands before the rest, where a matte tells: the step at its outline lies on the matte's edge.
+    ignore    : (H, W), ground whose brightness says nothing of its depth.
     """
     calm = proxy.left if calm is None else calm
     fine = _from_rows_that_match(dense, proxy)
@@ -294,6 +299,11 @@ def refine(
         filled = joined(filled, proxy)
     else:
         filled = lined(filled, calm)
+    if subject is not None:
+        filled, moved = on_matte_edge(filled, sure, subject)
+        trust[moved] = np.minimum(trust[moved], np.float32(UNSURE_TRUST))
+    if ignore is not None:
+        trust[ignore] = UNSEEN_TRUST
     if effort.passes:
         planes = robust_planes(filled, trust, radius=6, stride=effort.stride, tau_px=tau_px, passes=effort.passes)
         for _ in range(effort.blends):
