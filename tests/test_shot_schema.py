@@ -82,8 +82,9 @@ def test_every_key_that_the_template_hints_at_is_known(tmp_path: Path) -> None:
 
 
 def test_every_depth_setting_has_its_key() -> None:
-    assert set(DepthTable.model_fields) == {f.name for f in fields(DepthSettings)}
-    assert DepthSettings(**DepthTable().model_dump()) == DepthSettings()
+    mattes = {"subject", "ignore"}  # files, which the settings of a recovery do not hold
+    assert set(DepthTable.model_fields) - mattes == {f.name for f in fields(DepthSettings)}
+    assert DepthSettings(**DepthTable().model_dump(exclude=mattes)) == DepthSettings()
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def test_depth_steps_on_the_mattes_edge(quality: str) -> None:
 
 
 def test_what_is_ignored_goes_on_as_what_lies_beside_it() -> None:
-    left, right, truth, _ = scene()
+    left, right, _, _ = scene()
     spot = (slice(60, 84), slice(20, 60))  # a highlight on the wall that the eyes see twice as near
     pattern = np.random.default_rng(8).random((24, 40, 1)).astype(np.float32)
     left[spot] = pattern

@@ -17,6 +17,7 @@ from stereorelight.errors import OutputError, ShotError
 from stereorelight.footage.eyes import Eyes
 from stereorelight.footage.preview import depth_range
 from stereorelight.interchange.rigs import files_of, read_rig, rig_to_dict
+from stereorelight.shot.hints import check_hints, hints_key
 from stereorelight.shot.job import FrameJob
 from stereorelight.shot.lighting import Lighting, lighting_of
 from stereorelight.shot.materials import MaterialsOfShot, spread_over
@@ -25,7 +26,6 @@ from stereorelight.shot.neighbours import Neighbours
 from stereorelight.shot.pairs import EYES, Pair, eyes_of_shot, pairs_of
 from stereorelight.shot.plate_light import Reference
 from stereorelight.shot.receipt import Receipt, code_digest, digest, file_digest, versions
-from stereorelight.shot.hints import check_hints, hints_key
 from stereorelight.shot.repairs import Repairs
 from stereorelight.shot.schema import Shot, read_shot
 from stereorelight.shot.steps import STEPS, Step, colour_key, matcher_key
