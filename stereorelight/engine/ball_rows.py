@@ -23,7 +23,7 @@ _AWAY = f4(0.5)  # gap m from where on the lobe is no more than a correction on 
 _WIDTH, _WIDTH_AWAY = f4(12), f4(4)  # found by trial
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _cone(lx, ly, lz, radius, px, py, pz, rx, ry, rz):
     """a; sin and cos of sigma; cos gamma, sin gamma, and 1 - cos gamma; squared distance, of the surface itself for a place inside the ball."""
     a = lx - px
@@ -59,7 +59,7 @@ def add_ring(n, exponent, at, share, lx, ly, lz, radius, px, py, pz, rx, ry, rz,
         s[i] += total * (share * f4(0.5) / (d2 * (f4(1) + cs)))
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _place(u, gap, rise, w2, m, first, more, away):
     """What is summed at one place of the circle; tan(t / 2) = w tan(u)."""
     cos_u, sin_u = cosine_of(u), sine_of(u)
@@ -73,12 +73,12 @@ def _place(u, gap, rise, w2, m, first, more, away):
     return (first + more * sv2) * (lost - f4(1) if away else lost) / (h * (f4(2) - h) * q)
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _pair(x, half, gap, rise, w2, m, first, more, away):
     return _place(half * (f4(1) - x), gap, rise, w2, m, first, more, away) + _place(half * (f4(1) + x), gap, rise, w2, m, first, more, away)
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _azimuth(sv2, ss, cs, sg, cg):
     """Where on the circle, as an angle about r, 0..pi."""
     sin_t = f4(2) * math.sqrt(sv2 * (f4(1) - sv2))
@@ -87,7 +87,7 @@ def _azimuth(sv2, ss, cs, sg, cg):
     return _PI - angle if x < f4(0) else angle
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _arc(cos_t, gap, rise, ss, cs, sg, cg, m):
     """The sum along the circle from t = 0 to where cos(t) is `cos_t`, t at most pi.
 

@@ -40,7 +40,7 @@ X0, X1, X2, X3 = f4(0.1834346424956498), f4(0.5255324099163290), f4(0.7966664774
 W0, W1, W2, W3 = f4(0.3626837833783620), f4(0.3137066458778873), f4(0.2223810344533745), f4(0.1012285362903763)
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def angle_of(y, x):
     """atan2 for y >= 0, x >= 0, 0..pi/2, relative error 2e-7."""
     steep = y > x
@@ -53,14 +53,14 @@ def angle_of(y, x):
     return f4(0.5) * _PI - a if steep else a
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def sine_of(y):
     """sin for -pi/2..pi/2."""
     y2 = y * y
     return y * (f4(1) + y2 * (f4(-1 / 6) + y2 * (f4(1 / 120) + y2 * (f4(-1 / 5040) + y2 * (f4(1 / 362880) + y2 * f4(-1 / 39916800))))))
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def cosine_of(y):
     """cos for -pi/2..pi/2."""
     y2 = y * y
@@ -68,7 +68,7 @@ def cosine_of(y):
     return f4(1) + y2 * (f4(-0.5) + y2 * (f4(1 / 24) + y2 * (f4(-1 / 720) + y2 * p)))
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def missing(h, m):
     """1 - (1 - h)^m for 0 <= h <= 1, also where it is tiny."""
     z = _LN2 * m * log2_below_one(h)
@@ -76,7 +76,7 @@ def missing(h, m):
     return near if z > f4(-0.1) else f4(1) - exp2(z * f4(1 / math.log(2)))
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _at(c, s, sd2, w2, half_m):
     """What is summed at one place of a side, but for what is the same for all of them."""
     c = c if c > f4(1e-7) else f4(1e-7)
@@ -88,7 +88,7 @@ def _at(c, s, sd2, w2, half_m):
     return missing(d / q, half_m) / d  # d / q is the squared sine of the angle to r
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _pair(x, half, cm, sm, sd2, w2, half_m):
     """Two places, x half to both sides of the middle (cm, sm)."""
     sk = sine_of(x * half)
