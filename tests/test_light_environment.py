@@ -104,7 +104,9 @@ def test_fresnel_is_the_exact_formula(ior: float) -> None:
     share = layers["env_reflection"][0, :, 0]
     want = dielectric(N[0, :, 2].astype(np.float64), ior)
     calm = np.abs(ior**2 - 1 + N[0, :, 2].astype(np.float64) ** 2) > 1e-4
-    np.testing.assert_allclose(share[calm], want[calm], rtol=0, atol=3e-6)
+    # Beside the critical angle the formula itself turns one unit in the last place of the cosine into more than 3e-6.
+    unit = [dielectric(np.clip(N[0, :, 2].astype(np.float64) + step, 1e-9, 1), ior) for step in (-(2.0**-23), 2.0**-23)]
+    assert (np.abs(share - want)[calm] <= 3e-6 + np.abs(unit[1] - unit[0])[calm]).all()
     assert share[0] == pytest.approx(((ior - 1) / (ior + 1)) ** 2, abs=1e-6)
     if ior < 1:
         beyond = angle > math.asin(ior) + 1e-3
