@@ -154,7 +154,9 @@ def test_key_lines_see_tables_arrays_and_comments() -> None:
 @pytest.mark.parametrize(
     ("quality", "surface", "shades"),
     [
-        ("fine", "", False),
+        ("fine", "", True),
+        ("standard", "", False),
+        ("draft", "", False),
         ("fine", 'shading = "auto"', True),
         ("standard", 'shading = "auto"', False),
         ("standard", 'shading = "on"', True),

@@ -84,7 +84,7 @@ class DepthTable(Table):
 
 class SurfaceTable(Table):
     method: Literal["plane", "difference"] = "plane"
-    shading: Literal["auto", "off", "on"] = "off"
+    shading: Literal["auto", "off", "on"] = "auto"
     shading_strength: float = Field(default=1.0, gt=0, le=4)
 
     @model_validator(mode="before")
