@@ -52,8 +52,8 @@ MOST_SQUARED = 128  # whole exponents up to here are raised by squaring; beyond,
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever light_rows.py does;
 # tests/test_light_layers.py holds the two together.
 LEAVES = "cb600e14bd7c5fd8"
-LOBE_LEAVES = "25657961984cb9ee"
-BALL_LEAVES = "7ee6bd14c15ef9c6"
+LOBE_LEAVES = "ece0089b1381920f"
+BALL_LEAVES = "c068e0fd0c4c72b2"
 STREAM = "8a555a433ab59bd6"
 AREA_LEAVES = "9aeaa7932469afd4"
 STRIP = 2048  # its rows stay in the second-level cache
