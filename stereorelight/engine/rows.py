@@ -16,9 +16,13 @@ from typing import TypeVar
 
 import numba
 
+from stereorelight.memory import keep_freed
+
 First = TypeVar("First")
 Second = TypeVar("Second")
 BLOCK_ROWS = 16
+
+keep_freed()  # whoever works on rows makes arrays of pictures
 
 
 @functools.cache
