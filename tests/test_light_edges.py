@@ -13,8 +13,8 @@ from stereorelight.camera import Camera
 from stereorelight.errors import PassError, ShotError
 from stereorelight.light.edges import cover_from_depth, mixed, parted
 from stereorelight.shot.depths import surface_of
-from stereorelight.shot.job import MATCH_NOISE_PX
 from stereorelight.shot.lighting import Lighting
+from stereorelight.shot.pairs import MATCH_NOISE_PX
 from stereorelight.shot.schema import read_light_file
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.rectify import rectification

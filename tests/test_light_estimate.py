@@ -13,7 +13,7 @@ from stereorelight.light.albedo import albedo_of, exposure_of
 from stereorelight.light.estimate import estimate_lighting
 from stereorelight.light.plate_lighting import PlateLighting
 from stereorelight.shot.depths import surface_of
-from stereorelight.shot.job import MATCH_NOISE_PX
+from stereorelight.shot.pairs import MATCH_NOISE_PX
 from stereorelight.shot.plate_light import Reference, divided, estimated, shadow_of
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.rectify import rectification

@@ -15,7 +15,7 @@ from stereorelight.footage.curves import decode, encode
 from stereorelight.light.lights import DirectionalLight, Light, PointLight, RectLight, SphereLight, SpotLight
 from stereorelight.light.materials import Material
 from stereorelight.shot.depths import surface_of
-from stereorelight.shot.job import MATCH_NOISE_PX
+from stereorelight.shot.pairs import MATCH_NOISE_PX
 from stereorelight.shot.relight_truth import Parts, added_light, cast_shares, error_split, true_light
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.rectify import rectification

@@ -16,8 +16,8 @@ from stereorelight.footage.frames import read_frame
 from stereorelight.footage.stills import write_still
 from stereorelight.passes import Flag
 from stereorelight.shot.depths import surface_of
-from stereorelight.shot.job import MATCH_NOISE_PX
 from stereorelight.shot.materials import FRAMES
+from stereorelight.shot.pairs import MATCH_NOISE_PX
 from stereorelight.shot.run import run_shot
 from stereorelight.shot.synthetic import write_shot
 from stereorelight.surface.shading_trust import Judged, ShotMaterials, pooled

@@ -9,7 +9,7 @@ import pytest
 
 from stereorelight.compare.motorcycle import motorcycle
 from stereorelight.compare.normals import angle_deg
-from stereorelight.shot.job import MATCH_NOISE_PX
+from stereorelight.shot.pairs import MATCH_NOISE_PX
 from stereorelight.stereo.confidence import grain_of
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.rectify import rectification

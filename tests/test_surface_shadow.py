@@ -14,7 +14,7 @@ from stereorelight.engine import raycast
 from stereorelight.errors import PassError, ShotError
 from stereorelight.footage.curves import decode, encode
 from stereorelight.shot.depths import surface_of
-from stereorelight.shot.job import MATCH_NOISE_PX
+from stereorelight.shot.pairs import MATCH_NOISE_PX
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.rectify import rectification
 from stereorelight.surface.emitters import Emitter, across, on_disc, spread

@@ -76,7 +76,7 @@ def command(
     from stereorelight.footage.frames import write_frame
     from stereorelight.interchange.rigs import read_rig
     from stereorelight.shot.hints import read_hints
-    from stereorelight.shot.pairs import flip_word, pairs, read_upright, recover_pair
+    from stereorelight.shot.pairs import flip_word, noise_word, pairs, read_upright, recover_pair
     from stereorelight.shot.steps import depth_figures
     from stereorelight.stereo.matchers import check_matcher
     from stereorelight.stereo.rectify import rectification
@@ -100,7 +100,7 @@ def command(
             for one in eyes:
                 frame = recover_pair(pair, plates, rectified, settings=settings, eye=one, hints=read_hints(subject, ignore, pair.number)).frame
                 clip, number = pair.clip(one)
-                named = replace(frame, number=pair.number, metadata=flip_word(rectified, one))
+                named = replace(frame, number=pair.number, metadata=flip_word(rectified, one) | noise_word(rectified))
                 write_frame(paths[one][index], named, force=force, timecode=clip.timecode(number), rate=clip.rate)
                 results.append({"frame": pair.number, "eye": one, "file": str(paths[one][index]), **depth_figures(frame)})
             bar.note(pair.name, advance=1)

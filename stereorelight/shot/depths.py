@@ -27,6 +27,7 @@ from stereorelight.surface.position import position_from_depth
 from stereorelight.surface.shading import Quality, judge_by_shading, refine_by_shading
 from stereorelight.surface.shading_trust import Judged, ShotMaterials
 
+NOISE = "noise_per_m"  # header word: what 1/Z is at least off by from pixel to pixel (standard deviation), 1/metres
 FARTHEST_M = 1e5  # renderers write some huge number where there is nothing; no plate sees 100 km
 
 
@@ -195,17 +196,19 @@ def shaded(
     return replace(surface, passes={**surface.passes, **passes}), found.figures
 
 
-def surface_of(depth: Frame, *, method: Method = "plane", noise_per_m: float = 0.0) -> Frame:
+def surface_of(depth: Frame, *, method: Method = "plane", noise_per_m: float | None = None) -> Frame:
     """Z, P and N of a frame that holds Z, with the standard deviation of N, degrees, and of Z, metres, where the frame holds it: shadows
     start off a surface by it.  Raises PassError where it has no camera.
 
-    noise_per_m : what 1/Z is at least off by, as `normals_from_depth` takes it.
+    noise_per_m : what 1/Z is at least off by, as `normals_from_depth` takes it; None takes the frame's own word for it, and 0 without one.
     """
     camera = depth.camera
     if camera is None:
         raise PassError("Z needs the camera that saw it before it can be a position")
     Z, confidence = depth["Z"], depth.passes.get("confidence")
     Z_sigma = depth.passes.get("Z_sigma")
+    if noise_per_m is None:
+        noise_per_m = float(depth.metadata.get(NOISE, 0.0))
     N, sigma = normals_and_sigma(Z, camera, method=method, confidence=confidence, noise_per_m=noise_per_m, Z_sigma=Z_sigma)
     if method == "plane" and Z_sigma is not None:  # exact depth needs no such help
         N, rim = normals_to_the_rim(N, Z, camera, Z_sigma=Z_sigma)

@@ -21,14 +21,12 @@ from stereorelight.shot.lighting import Lighting
 from stereorelight.shot.lit import Lit
 from stereorelight.shot.materials import MaterialsOfShot
 from stereorelight.shot.neighbours import Neighbours, search_figures
-from stereorelight.shot.pairs import Pair, flip_word, read_upright, recover_pair
+from stereorelight.shot.pairs import Pair, flip_word, noise_word, read_upright, recover_pair
 from stereorelight.shot.repairs import Repairs
 from stereorelight.shot.schema import Shot
 from stereorelight.stereo.rectify import Rectification
 from stereorelight.stereo.repair import repaired
 from stereorelight.surface.shading_trust import Judged
-
-MATCH_NOISE_PX = 0.01  # what matched disparity is off by from pixel to pixel, after its own smoothing; 0.05 made relit faces too smooth
 
 
 @dataclass(kw_only=True, eq=False)
@@ -122,7 +120,7 @@ class FrameJob:
             hints = hints_of(self.shot, self.pair)
             alone = recover_pair(self.pair, self.plates, self.rectification, settings=self.shot.depth, match_colour=match_colour, hints=hints)
             raw, self.search_figures = alone.frame, search_figures(alone)
-        frame = replace(raw, number=self.pair.number, metadata=self.words("depth"))
+        frame = replace(raw, number=self.pair.number, metadata=self.words("depth") | noise_word(self.rectification))
         if self.repairs is not None:
             frame = self._repaired(frame, self.repairs)
         self.__dict__["depth"] = frame
@@ -150,8 +148,7 @@ class FrameJob:
 
     def _fitted(self) -> Frame:
         """Z, P and N as depth alone has them."""
-        noise = MATCH_NOISE_PX / (self.rectification.rig.left.fx * self.rectification.rig.baseline_m)
-        return surface_of(self.depth, method=self.shot.tables.surface.method, noise_per_m=noise)
+        return surface_of(self.depth, method=self.shot.tables.surface.method)
 
     def judged(self) -> Judged:
         """What the frame, its depth found now, says of its materials.  Raises PlateError."""

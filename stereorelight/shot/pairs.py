@@ -15,6 +15,7 @@ from stereorelight.footage.clip import Clip
 from stereorelight.footage.colour import ColourSettings
 from stereorelight.footage.eyes import Eyes, open_eyes
 from stereorelight.footage.plates import check_pair
+from stereorelight.shot.depths import NOISE
 from stereorelight.shot.schema import Shot
 from stereorelight.stereo.depth import MatchColour, Recovered, recover
 from stereorelight.stereo.hints import Hints
@@ -23,6 +24,7 @@ from stereorelight.stereo.settings import DepthSettings
 
 EYES: tuple[Eye, Eye] = ("left", "right")
 FLIPPED = "plate_flipped_back"
+MATCH_NOISE_PX = 0.01  # what matched disparity is off by from pixel to pixel, after its own smoothing; 0.05 made relit faces too smooth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,3 +129,9 @@ def recover_pair(
 def flip_word(rectification: Rectification, eye: Eye) -> dict[str, str]:
     """A header word for passes that lie on the flipped-back plate of a mirrored eye; none for other plates."""
     return {FLIPPED: "yes"} if rectification.original.mirrored == eye else {}
+
+
+def noise_word(rectification: Rectification) -> dict[str, str]:
+    """A header word for matched depth: what 1/Z is at least off by from pixel to pixel, 1/metres, which normals from it go by."""
+    rig = rectification.rig
+    return {NOISE: f"{MATCH_NOISE_PX / (rig.left.fx * rig.baseline_m):.9g}"}

@@ -22,7 +22,7 @@ import numpy as np
 from stereorelight.compare.edges import grown, near_edges
 from stereorelight.compare.normals import angle_deg
 from stereorelight.shot.depths import shaded, surface_of
-from stereorelight.shot.job import MATCH_NOISE_PX
+from stereorelight.shot.pairs import MATCH_NOISE_PX
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.rectify import rectification
 from stereorelight.stereo.settings import DepthSettings

@@ -24,7 +24,7 @@ from stereorelight.compare.picture import blurred, light_figures
 from stereorelight.light.lights import DirectionalLight, Light, PointLight, RectLight, SpotLight
 from stereorelight.light.materials import Material
 from stereorelight.shot.depths import shaded, surface_of
-from stereorelight.shot.job import MATCH_NOISE_PX
+from stereorelight.shot.pairs import MATCH_NOISE_PX
 from stereorelight.shot.relight_truth import PARTS, Parts, added_light, cast_shares, error_split, true_light
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.rectify import rectification

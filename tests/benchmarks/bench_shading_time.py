@@ -22,7 +22,7 @@ from stereorelight.compare.flicker import residual
 from stereorelight.compare.normals import angle_deg
 from stereorelight.passes import Frame
 from stereorelight.shot.depths import material_test, shaded, surface_of
-from stereorelight.shot.job import MATCH_NOISE_PX
+from stereorelight.shot.pairs import MATCH_NOISE_PX
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.rectify import rectification
 from stereorelight.stereo.settings import DepthSettings
