@@ -39,6 +39,7 @@ PLAIN, PLAIN_WINDOW = 4.0, (5, 5)  # grey levels per px along the row, root mean
 PLAIN_LOST = 0.15  # share of the picture that is plain and unmatched from which a clean pair is matched at half the size, too
 ALIKE = 0.25  # of the noise: neighbours that differ by less are alike to the census
 CLEAN_STEP, CALM_STEP = 2.0, 1.5  # cost of a step of the census; of calm plates less, where more of its answers are chance
+AGAIN_PULL, AGAIN_LIMIT = 6.0, 24.0  # of grainy plates' second look, to what both eyes said at the first
 P1, P2 = 2 * BLOCK**2, 30 * BLOCK**2  # penalties of a step by one and of a jump, per channel: low for steps, since planes smooth later; high for
 # jumps, since adaptive support finds the outlines and wants one answer on a wall that repeats
 
@@ -197,17 +198,16 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     given = None
     if led:
         given = _guide(matcher, proxy, calm, search) if guided else _left_px(matcher, calm, search)
-    left, right = supported(
-        calm.left,
-        left_grey,
-        right_grey,
-        search.low,
-        search.count,
-        given=given,
-        alike=max(1.0, ALIKE * noise),
-        step=step,
-    )
-    left = without_speckles(left, round(SUPPORT_SPECKLE_PX * float(np.clip(noise / CALM, 1, 3))))
+    seen = (calm.left, left_grey, right_grey, search.low, search.count)
+    alike = max(1.0, ALIKE * noise)
+    left, right = supported(*seen, given=given, alike=alike, step=step)
+    speckle_px = SUPPORT_SPECKLE_PX * float(np.clip(noise / CALM, 1, 3))
+    if calm is not proxy and guided and led:
+        speckle_px = SUPPORT_SPECKLE_PX
+        held = np.where(consistent(left, right), left, np.float32(np.nan))
+        again, right = supported(*seen, given=held, alike=alike, step=step, pull=AGAIN_PULL, limit=AGAIN_LIMIT)
+        left = np.where(np.abs(again - left) <= 0.5, left, again)  # the pull draws parts of a pixel to whole ones
+    left = without_speckles(left, round(speckle_px))
     return Match(left=left, right=right, dense=everywhere(left), calm=calm.left)
 
 
