@@ -39,9 +39,10 @@ PLAIN, PLAIN_WINDOW = 4.0, (5, 5)  # grey levels per px along the row, root mean
 PLAIN_LOST = 0.15  # share of the picture that is plain and unmatched from which a clean pair is matched at half the size, too
 ALIKE = 0.25  # of the noise: neighbours that differ by less are alike to the census
 CLEAN_STEP, CALM_STEP = 2.0, 1.5  # cost of a step of the census; of calm plates less, where more of its answers are chance
-AGAIN_PULL, AGAIN_LIMIT = 6.0, 24.0  # of grainy plates' second look, to what both eyes said at the first
+AGAIN_PULL, AGAIN_LIMIT = 4.0, 16.0  # of grainy plates' second look, to what both eyes said at the first
 P1, P2 = 2 * BLOCK**2, 30 * BLOCK**2  # penalties of a step by one and of a jump, per channel: low for steps, since planes smooth later; high for
 # jumps, since adaptive support finds the outlines and wants one answer on a wall that repeats
+CALM_P2 = 12 * BLOCK**2  # of a jump in calmed pictures, whose contrast is less: more carries what is near over plain ground beside it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,12 +109,12 @@ def everywhere(disparity: Float32) -> Float32:
     return np.where(known, disparity, cv2.medianBlur(background(filled, known), 5))
 
 
-def _matcher(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, stiffness: float = 1.0) -> cv2.StereoSGBM:
+def _matcher(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, stiffness: float = 1.0, jump: int = P2) -> cv2.StereoSGBM:
     channels = proxy.left.shape[2] if proxy.left.ndim == 3 else 1
     cells = proxy.left.shape[0] * (proxy.left.shape[1] + search.count) * search.count
     mode = cv2.STEREO_SGBM_MODE_HH4 if exhaustive and cells <= MOST_CELLS else cv2.STEREO_SGBM_MODE_SGBM_3WAY
-    step, jump = round(P1 * channels * stiffness), round(P2 * channels)
-    return cv2.StereoSGBM_create(search.low, search.count, BLOCK, step, jump, 1, 63, 0, SPECKLE_PX, 1, mode)
+    step = round(P1 * channels * stiffness)
+    return cv2.StereoSGBM_create(search.low, search.count, BLOCK, step, jump * channels, 1, 63, 0, SPECKLE_PX, 1, mode)
 
 
 def _left_px(matcher: cv2.StereoSGBM, proxy: Proxy, search: DisparityRange) -> Float32:
@@ -193,7 +194,8 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     noise = proxy.noise()
     calm = proxy.calmed()
     step = CLEAN_STEP if calm is proxy and guided else CALM_STEP
-    matcher = _matcher(calm, search, exhaustive=exhaustive, stiffness=float(np.clip(noise / NOISY, 1, 2)))
+    stiffness, jump = float(np.clip(noise / NOISY, 1, 2)), P2 if calm is proxy else CALM_P2
+    matcher = _matcher(calm, search, exhaustive=exhaustive, stiffness=stiffness, jump=jump)
     left_grey, right_grey = (proxy.left_grey, proxy.right_grey) if calm is proxy else (grey_of(calm.left), grey_of(calm.right))
     given = None
     if led:
