@@ -16,19 +16,18 @@ f4 = np.float32
 @njit(cache=True, nogil=True, error_model="numpy")
 def _unseen(first, end, disparity, by, out):
     W = disparity.shape[1]
-    nearest = np.empty(W, np.float32)
+    nearest = np.empty(W + 4, np.float32)  # two places before the row and two after it, for what lands outside
     for y in range(first, end):
         nearest[:] = -np.inf
         for x in range(W):
             d = disparity[y, x]
-            k = int(np.floor(f4(x) - d))
+            k = min(max(int(np.floor(f4(x) - d)), -2), W) + 2
             for i in (k, k + 1):  # a surface covers both pixels that it falls between
-                if 0 <= i < W and d > nearest[i]:
-                    nearest[i] = d
+                nearest[i] = d if d > nearest[i] else nearest[i]
         for x in range(W):
             d = disparity[y, x]
             k = int(np.floor(f4(x) - d + f4(0.5)))
-            out[y, x] = not 0 <= k < W or nearest[k] > d + by
+            out[y, x] = (k < 0) | (k >= W) | (nearest[min(max(k, -2), W) + 2] > d + by)
 
 
 def unseen(disparity: Float32, *, by_px: float = 1.0) -> Bool:

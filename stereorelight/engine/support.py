@@ -17,40 +17,85 @@ import numpy.typing as npt
 from numba import njit
 
 from stereorelight.arrays import Float32, UInt8
-from stereorelight.engine.fastmath import float_of
+from stereorelight.engine.fastmath import float_of, kernel
 from stereorelight.engine.rows import in_row_blocks
-from stereorelight.engine.support_vector import LANES, back, back_whole, costs, forth, forth_whole, least, take_less
+from stereorelight.engine.support_vector import (
+    LANES,
+    back,
+    back_whole,
+    costs,
+    fetch,
+    first_bit,
+    forth,
+    forth_whole,
+    having,
+    least,
+    least_of_rows,
+    lesser,
+    take_less,
+)
 
 f4 = np.float32
 i4 = np.int32
+u4 = np.uint32
 CHUNK = LANES  # disparities held at a time
+PART = CHUNK * CHUNK  # costs of a row of a block of `CHUNK` columns
+PLACE = 32  # costs that the processor fetches at a time
+SEGMENT = 16  # rows of which all sums from above are at hand
 REACH = 2  # px of the census window
 FAR = np.int32(0x7F000000)  # above every cost
 CENSUS_STEPS = 2 * ((2 * REACH + 1) ** 2 - 1)  # that two pixels can be apart
 MOST = 65_000.0  # the largest cost between rows and columns, where costs are whole numbers of 16 bits: half the memory to fetch
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _census_part(row, other, alike, out):
-    """Two more bits of each word of a row: `other` is its neighbours' row, shifted."""
+_leaf = kernel(fastmath=False, noalias=True)
+
+
+@_leaf
+def _census_two(row, a, b, alike, out):
+    """Four more bits of each word of a row: `a`, `b` are its neighbours' rows, shifted."""
     for x in range(row.size):
-        d = other[x] - row[x]
-        out[x] = (out[x] << np.uint64(2)) | (np.uint64(d > alike) << np.uint64(1)) | np.uint64(d > -alike)
+        p, q = a[x] - row[x], b[x] - row[x]
+        first = (u4(p > alike) << u4(1)) | u4(p > -alike)
+        out[x] = (out[x] << u4(4)) | (first << u4(2)) | (u4(q > alike) << u4(1)) | u4(q > -alike)
+
+
+@_leaf
+def _census_five(row, a, b, c, d, e, alike, out):
+    """Ten more bits."""
+    for x in range(row.size):
+        p, q, r, s, t = a[x] - row[x], b[x] - row[x], c[x] - row[x], d[x] - row[x], e[x] - row[x]
+        first = (u4(p > alike) << u4(3)) | (u4(p > -alike) << u4(2)) | (u4(q > alike) << u4(1)) | u4(q > -alike)
+        then = (u4(r > alike) << u4(3)) | (u4(r > -alike) << u4(2)) | (u4(s > alike) << u4(1)) | u4(s > -alike)
+        out[x] = (out[x] << u4(10)) | (first << u4(6)) | (then << u4(2)) | (u4(t > alike) << u4(1)) | u4(t > -alike)
+
+
+@_leaf
+def _words(high, low, out):
+    for x in range(out.size):
+        out[x] = (np.uint64(high[x]) << np.uint64(24)) | np.uint64(low[x])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _census(first, end, grey, alike, out):
     H, W = out.shape
     wide = np.empty((2 * REACH + 1, W + 2 * REACH), np.float32)  # the rows about one, the border repeated
+    high, low = np.empty(W, np.uint32), np.empty(W, np.uint32)  # 24 bits each: half as wide, twice as many at once
     for y in range(first, end):
         for j in range(2 * REACH + 1):
             row = grey[min(max(y + j - REACH, 0), H - 1)]
             wide[j, :REACH], wide[j, REACH : REACH + W], wide[j, REACH + W :] = row[0], row, row[W - 1]
-        out[y] = np.uint64(0)
-        for j in range(2 * REACH + 1):
-            for i in range(2 * REACH + 1):
-                if i != REACH or j != REACH:
-                    _census_part(wide[REACH, REACH : REACH + W], wide[j, i : i + W], alike, out[y])
+        high[:], low[:] = u4(0), u4(0)
+        me = wide[REACH, REACH : REACH + W]
+        for j in (0, 1):
+            a, b, c, d, e = wide[j, 0:W], wide[j, 1 : W + 1], wide[j, 2 : W + 2], wide[j, 3 : W + 3], wide[j, 4 : W + 4]
+            _census_five(me, a, b, c, d, e, alike, high)
+        _census_two(me, wide[2, 0:W], wide[2, 1 : W + 1], alike, high)
+        _census_two(me, wide[2, 3 : W + 3], wide[2, 4 : W + 4], alike, low)
+        for j in (3, 4):
+            a, b, c, d, e = wide[j, 0:W], wide[j, 1 : W + 1], wide[j, 2 : W + 2], wide[j, 3 : W + 3], wide[j, 4 : W + 4]
+            _census_five(me, a, b, c, d, e, alike, low)
+        _words(high, low, out[y])
 
 
 def census(grey: Float32, *, alike: float) -> npt.NDArray[np.uint64]:
@@ -75,13 +120,23 @@ def _row_forth(words, greys, first, word, grey, top, terms, given, weight, c, fr
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rows_back(weight, inverse, c, front, ahead, out, weight2, inverse2, c2, front2, out2):
+def _rows_back(weight, inverse, c, front, ahead, out, place, weight2, inverse2, c2, front2, place2, column):
     """Each pixel's mean cost over its row, each other pixel weighed by the product of the weights on the way; two rows at a time, since
-    one alone waits for itself at every pixel."""
+    one alone waits for itself at every pixel.
+
+    place, place2 : of a row in the first block of `out`; column : from one block to the next.
+    """
     ahead[:] = f4(0)
-    for x in range(weight.size - 1, -1, -1):
-        back(c, x * CHUNK, weight[x], inverse[x], front, (x + 1) * CHUNK, ahead, 0, out, x * CHUNK)
-        back(c2, x * CHUNK, weight2[x], inverse2[x], front2, (x + 1) * CHUNK, ahead, CHUNK, out2, x * CHUNK)
+    W = weight.size
+    for block in range((W - 1) // CHUNK, -1, -1):
+        o = block * (column - PART)
+        if block > 0:  # each block lies in a page of its own
+            for k in range(0, PART, PLACE):
+                fetch(out, place + (block - 1) * column + k)
+                fetch(out, place2 + (block - 1) * column + k)
+        for x in range(min(block * CHUNK + CHUNK, W) - 1, block * CHUNK - 1, -1):
+            back(c, x * CHUNK, weight[x], inverse[x], front, (x + 1) * CHUNK, ahead, 0, out, place + o + x * CHUNK)
+            back(c2, x * CHUNK, weight2[x], inverse2[x], front2, (x + 1) * CHUNK, ahead, CHUNK, out, place2 + o + x * CHUNK)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -92,8 +147,9 @@ def _scaled(row, scale, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _rows(first, end, word, grey, other_word, other_grey, scale, top, terms, given, weight, inverse, cost):
-    """Costs of the disparities top, top - 1, ...: cost[y, x, k] is of top - k, which lies at column x - top + k of the other eye."""
-    W = grey.shape[1]
+    """Costs of the disparities top, top - 1, ...: cost[b, y, i, k] is of top - k at column x = 16 b + i, which lies at column x - top + k
+    of the other eye."""
+    W, flat = grey.shape[1], cost.reshape(cost.size)
     before = max(0, top)  # columns that are looked up before the frame, and after it
     after = max(0, CHUNK - 1 - top)
     words, greys, own = np.empty(before + W + after, np.uint64), np.empty(before + W + after, np.float32), np.empty(W, np.float32)
@@ -107,75 +163,95 @@ def _rows(first, end, word, grey, other_word, other_grey, scale, top, terms, giv
             _scaled(other_grey[row], scale, greys[before : before + W])
             greys[:before], greys[before + W :] = greys[before], greys[before + W - 1]
             _row_forth(words, greys, before, word[row], own, top, terms, given[row], weight[row], c[i], front[i])
-        out, out2 = cost[y].reshape(W * CHUNK), cost[z].reshape(W * CHUNK)
-        _rows_back(weight[y], inverse[y], c[0], front[0], ahead, out, weight[z], inverse[z], c[1], front[1], out2)
+        place, place2 = y * PART, z * PART
+        _rows_back(weight[y], inverse[y], c[0], front[0], ahead, flat, place, weight[z], inverse[z], c[1], front[1], place2, grey.shape[0] * PART)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _columns(begin, end, turn, weight, inverse, cost, top, index, keep, best, below, above, last, right):
+def _columns(begin, end, turn, width, weight, inverse, cost, index, keep, best, below, above, last, right):
     """The same along columns, and what they say: `best` and `right` are costs with the disparity's index in their lowest bits; `below` and
     `above` the costs of one disparity less and more.
 
     begin, end : of blocks of `CHUNK` columns, every other one, `turn` the first; what a block says of the other eye's columns reaches
-                 into the block beside it, and no further.
+                 into the block after it, and no further.   width : of the picture.
+    The sums from above are kept every `SEGMENT` rows, and made again from there a segment at a time: all that is looked at twice stays near.
     """
-    H, W = cost.shape[:2]
-    flat, front = cost.reshape(H * W * CHUNK), np.empty((H + 1) * CHUNK * CHUNK, np.float32)
-    front[: CHUNK * CHUNK] = f4(0)
-    ahead, c = np.empty(CHUNK * CHUNK, np.float32), np.empty(CHUNK, np.float32)
+    blocks, H = cost.shape[:2]
+    flat, shares, worths = cost.reshape(cost.size), weight.reshape(weight.size), inverse.reshape(weight.size)
+    bests, less, more, before = best.reshape(best.size), below.reshape(best.size), above.reshape(best.size), last.reshape(best.size)
+    others = right.reshape(right.size)
+    segments = -(-H // SEGMENT)
+    marks, front = np.empty((segments + 2) * PART, np.float32), np.empty((SEGMENT + 1) * PART, np.float32)
+    ahead, c, lowest = np.empty(PART, np.float32), np.empty(PART, np.float32), np.full(CHUNK, FAR, np.int32)
     # Row i is what the block's column i says of the other eye, laid over the columns that it says it of.
     said, least_said = np.full(CHUNK * 2 * CHUNK, FAR, np.int32), np.empty(2 * CHUNK, np.int32)
     for block in range(2 * begin + turn, 2 * end + turn, 2):
-        first = block * CHUNK
-        columns = min(CHUNK, W - first)
-        part = slice(first, first + columns)
-        for y in range(H):
-            share, start, at = weight[y, part], (y * W + first) * CHUNK, y * CHUNK * CHUNK
+        columns = min(CHUNK, width - block * CHUNK)
+        if columns < CHUNK:
+            lowest[:], said[:] = FAR, FAR
+        start = block * H
+        marks[:PART] = f4(0)
+        j = 0
+        for y in range((segments - 1) * SEGMENT):
+            p = (start + y) * CHUNK
+            k = ((y + 1) // SEGMENT if (y + 1) % SEGMENT == 0 else segments + y % 2) * PART
             for i in range(columns):
-                forth_whole(flat, start + i * CHUNK, share[i], front, at + i * CHUNK, at + (CHUNK + i) * CHUNK)
+                forth_whole(flat, (p + i) * CHUNK, shares[p + i], marks, j + i * CHUNK, k + i * CHUNK)
+            j = k
         ahead[:] = f4(0)
-        for y in range(H - 1, -1, -1):
-            share, worth, start, at = weight[y, part], inverse[y, part], (y * W + first) * CHUNK, (y + 1) * CHUNK * CHUNK
-            mine, less, more, before = best[y, part], below[y, part], above[y, part], last[y, part]
-            for i in range(columns):
-                back_whole(flat, start + i * CHUNK, share[i], worth[i], front, at + i * CHUNK, ahead, i * CHUNK, c, 0)
-                lowest = least(c, 0, keep, i4(index), said, i * (2 * CHUNK + 1))
-                if mine[i] & ~keep == index - 1:  # the best of all so far was the last of the chunk before
-                    less[i] = c[0]
-                if lowest < mine[i]:
-                    mine[i] = lowest
-                    k = (lowest & ~keep) - index
-                    more[i] = c[k - 1] if k > 0 else before[i]
-                    less[i] = c[k + 1] if k < CHUNK - 1 else f4(np.inf)
-                before[i] = c[CHUNK - 1]
-            least_said[:] = FAR
-            for i in range(columns):
-                take_less(said, i * 2 * CHUNK, least_said, 0)
-                take_less(said, i * 2 * CHUNK + CHUNK, least_said, CHUNK)
-            u = first - top
-            if u >= 0 and u + 2 * CHUNK <= W:
-                take_less(least_said, 0, right[y], u)
-                take_less(least_said, CHUNK, right[y], u + CHUNK)
-            else:
-                for k in range(max(0, -u), min(2 * CHUNK, W - u)):
-                    right[y, u + k] = min(right[y, u + k], least_said[k])
+        for segment in range(segments - 1, -1, -1):
+            high, low = segment * SEGMENT, min(segment * SEGMENT + SEGMENT, H)
+            front[:PART] = marks[segment * PART : segment * PART + PART]
+            for y in range(high, low):
+                p, at = (start + y) * CHUNK, (y - high) * PART
+                for i in range(columns):
+                    forth_whole(flat, (p + i) * CHUNK, shares[p + i], front, at + i * CHUNK, at + PART + i * CHUNK)
+            for y in range(low - 1, high - 1, -1):
+                p, at = (start + y) * CHUNK, (y - high + 1) * PART
+                for i in range(columns):
+                    back_whole(flat, (p + i) * CHUNK, shares[p + i], worths[p + i], front, at + i * CHUNK, ahead, i * CHUNK, c, i * CHUNK)
+                    lowest[i] = least(c, i * CHUNK, keep, i4(index), said, i * (2 * CHUNK + 1))
+                bits = having(bests, p, ~keep, i4(index - 1))  # the best of all so far was the last of the chunk before
+                while bits:
+                    i = first_bit(bits)
+                    bits &= bits - 1
+                    less[p + i] = c[i * CHUNK]
+                bits = lesser(lowest, 0, bests, p)
+                take_less(lowest, 0, bests, p)
+                while bits:
+                    i = first_bit(bits)
+                    bits &= bits - 1
+                    k = (lowest[i] & ~keep) - index
+                    more[p + i] = c[i * CHUNK + k - 1] if k > 0 else before[p + i]
+                    less[p + i] = c[i * CHUNK + k + 1] if k < CHUNK - 1 else f4(np.inf)
+                for i in range(CHUNK):
+                    before[p + i] = c[i * CHUNK + CHUNK - 1]
+                least_of_rows(said, least_said)
+                p += index * H
+                take_less(least_said, 0, others, p)
+                take_less(least_said, CHUNK, others, p + H * CHUNK)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _answers(first, end, best, below, above, right, keep, highest, left_out, right_out):
-    W = best.shape[1]
-    for y in range(first, end):
-        for x in range(W):
-            d = f4(highest - (best[y, x] & ~keep))
-            m = f4(0)
-            low, high = below[y, x], above[y, x]
-            here = np.int32(best[y, x] & keep)
-            middle = float_of(here)
-            curve = low - f4(2) * middle + high
-            if curve > f4(0) and low < f4(np.inf) and high < f4(np.inf):
-                m = min(max(f4(0.5) * (low - high) / curve, f4(-0.5)), f4(0.5))
-            left_out[y, x] = d + m
-            right_out[y, x] = f4(highest - (right[y, x] & ~keep)) if right[y, x] < FAR else f4(np.nan)
+    W = left_out.shape[1]
+    for block in range(best.shape[0]):
+        for y in range(first, end):
+            for i in range(min(CHUNK, W - block * CHUNK)):
+                key, low, high = best[block, y, i], below[block, y, i], above[block, y, i]
+                m = f4(0)
+                curve = low - f4(2) * float_of(np.int32(key & keep)) + high
+                if curve > f4(0) and low < f4(np.inf) and high < f4(np.inf):
+                    m = min(max(f4(0.5) * (low - high) / curve, f4(-0.5)), f4(0.5))
+                left_out[y, block * CHUNK + i] = f4(highest - (key & ~keep)) + m
+    right_out[first:end] = np.nan
+    for block in range(right.shape[0]):
+        start = block * CHUNK - highest  # the other eye's columns are kept from there on
+        for y in range(first, end):
+            for i in range(max(0, -start), min(CHUNK, W - start)):
+                key = right[block, y, i]
+                if key < FAR:
+                    right_out[y, start + i] = f4(highest - (key & ~keep))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -196,8 +272,9 @@ def _alike(first, end, picture, share, across, down):
         for x in range(W):
             across[y, x] = share[apart[x]]
         _apart(picture[y], picture[max(y - 1, 0)], apart)
-        for x in range(W):
-            down[y, x] = share[apart[x]]
+        for block in range(down.shape[0]):
+            for i in range(min(CHUNK, W - block * CHUNK)):
+                down[block, y, i] = share[apart[block * CHUNK + i]]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -217,17 +294,19 @@ def _worth_across(first, end, weight, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _worth_down(first, end, weight, out):
-    """The same of its column, for the columns `first` to `end`."""
-    H = weight.shape[0]
-    n, m = np.zeros(end - first, np.float32), np.zeros(end - first, np.float32)
-    for y in range(H):
-        for x in range(first, end):
-            n[x - first] = f4(1) + weight[y, x] * n[x - first]
-            out[y, x] = n[x - first]
-    for y in range(H - 1, -1, -1):
-        for x in range(first, end):
-            out[y, x] = f4(1) / (out[y, x] + m[x - first])
-            m[x - first] = weight[y, x] * (m[x - first] + f4(1))
+    """The same of its column, for the blocks `first` to `end`."""
+    H = weight.shape[1]
+    n, m = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
+    for b in range(first, end):
+        n[:], m[:] = f4(0), f4(0)
+        for y in range(H):
+            for i in range(CHUNK):
+                n[i] = f4(1) + weight[b, y, i] * n[i]
+                out[b, y, i] = n[i]
+        for y in range(H - 1, -1, -1):
+            for i in range(CHUNK):
+                out[b, y, i] = f4(1) / (out[b, y, i] + m[i])
+                m[i] = weight[b, y, i] * (m[i] + f4(1))
 
 
 def supported(
@@ -257,26 +336,29 @@ def supported(
     """
     H, W = left_grey.shape
     words, other_words = census(left_grey, alike=alike), census(right_grey, alike=alike)
-    across, down, across_worth, down_worth = (np.empty((H, W), np.float32) for _ in range(4))
+    blocks = -(-W // CHUNK)
+    block = (blocks, H, CHUNK)  # where columns are gone along, 16 of them lie together: a column is read from end to end
+    across, across_worth, down_worth = np.empty((H, W), np.float32), np.empty((H, W), np.float32), np.empty(block, np.float32)
+    down = np.zeros(block, np.float32)
     share = np.exp(-np.arange(256, dtype=np.float32) / f4(tones) - 1 / f4(reach_px))
     in_row_blocks(lambda a, b: _alike(a, b, left, share, across, down), H)
     in_row_blocks(lambda a, b: _worth_across(a, b, across, across_worth), H)
-    in_row_blocks(lambda a, b: _worth_down(a, b, down, down_worth), W, block_rows=4 * CHUNK)
+    in_row_blocks(lambda a, b: _worth_down(a, b, down, down_worth), blocks, block_rows=4)
     given = np.full((H, W), np.nan, np.float32) if given is None else given
     chunks = -(-count // CHUNK)
     keep = i4(-(1 << int(chunks * CHUNK).bit_length()))
-    cost = np.empty((H, W, CHUNK), np.uint16)
+    cost = np.empty((*block, CHUNK), np.uint16)
     scale = MOST / (CENSUS_STEPS * step + cap_levels + limit)  # of costs: as fine as whole numbers allow
     terms = tuple(f4(scale * a) for a in (cap_levels, step, pull, limit))
-    best, other = np.full((H, W), FAR, np.int32), np.full((H, W), FAR, np.int32)
-    below, above, last = (np.full((H, W), np.inf, np.float32) for _ in range(3))
-    highest, blocks = low + count - 1, -(-W // CHUNK)
+    best, other = np.full(block, FAR, np.int32), np.full((blocks + chunks, H, CHUNK), FAR, np.int32)
+    below, above, last = (np.full(block, np.inf, np.float32) for _ in range(3))
+    highest = low + count - 1
     for index in range(0, chunks * CHUNK, CHUNK):
         top = highest - index
         of_row = (words, left_grey, other_words, right_grey, f4(scale), top, terms, given, across, across_worth, cost)
         in_row_blocks(partial(_spread, _rows, of_row), H)
         for turn in (0, 1):
-            of_column = (turn, down, down_worth, cost, top, index, keep, best, below, above, last, other)
+            of_column = (turn, W, down, down_worth, cost, index, keep, best, below, above, last, other)
             in_row_blocks(partial(_spread, _columns, of_column), (blocks + 1 - turn) // 2, block_rows=3)
     answer, answer_right = np.empty((H, W), np.float32), np.empty((H, W), np.float32)
     in_row_blocks(lambda a, b: _answers(a, b, best, below, above, other, keep, highest, answer, answer_right), H)

@@ -12,6 +12,7 @@ from numba.extending import intrinsic
 
 LANES = 16
 PLACES = 2 * LANES  # of `weighted_median`
+MOST_VALUES = 25  # of them that may be used
 FLOAT, SHORT, INT, LONG = ir.FloatType(), ir.IntType(16), ir.IntType(32), ir.IntType(64)
 FLOATS, SHORTS, INTS, LONGS = (ir.VectorType(t, LANES) for t in (FLOAT, SHORT, INT, LONG))
 VECTOR = {FLOAT: FLOATS, SHORT: SHORTS, INT: INTS, LONG: LONGS}
@@ -85,6 +86,19 @@ def costs(typingctx, words, greys, i, word, grey, step, cap, first, pull, limit,
 
     f = types.float32
     return types.void(words, greys, types.int64, types.uint64, f, f, f, f, f, f, out, types.int64), body
+
+
+@intrinsic
+def fetch(typingctx, cost, i):
+    """Have cost[i] (uint16) at hand soon, to be written to."""
+
+    def body(context, builder, signature, args):
+        place = builder.bitcast(_at(context, builder, signature.args[0], *args, SHORT), ir.IntType(8).as_pointer())
+        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(ir.VoidType(), [place.type, INT, INT, INT]), "llvm.prefetch.p0")
+        builder.call(function, [place, ir.Constant(INT, 1), ir.Constant(INT, 3), ir.Constant(INT, 1)])
+        return context.get_dummy_value()
+
+    return types.void(cost, types.int64), body
 
 
 @intrinsic
@@ -183,9 +197,69 @@ def take_less(typingctx, a, i, b, j):
     return types.void(a, n, b, n), body
 
 
+def _bits(builder, flags):
+    """Sixteen flags as the bits of an int64, the first one lowest."""
+    return builder.zext(builder.bitcast(flags, SHORT), LONG)
+
+
+@intrinsic
+def lesser(typingctx, a, i, b, j):
+    """A bit k, the first one lowest, where a[i + k] < b[j + k], int32."""
+
+    def body(context, builder, signature, args):
+        a, i, b, j = args
+        kinds = signature.args
+        return _bits(builder, builder.icmp_signed("<", _load(context, builder, kinds[0], a, i, INT), _load(context, builder, kinds[2], b, j, INT)))
+
+    n = types.int64
+    return types.int64(a, n, b, n), body
+
+
+@intrinsic
+def having(typingctx, a, i, mask, value):
+    """A bit k, the first one lowest, where a[i + k] & mask == value, int32."""
+
+    def body(context, builder, signature, args):
+        a, i, mask, value = args
+        share = builder.and_(_load(context, builder, signature.args[0], a, i, INT), _splat(builder, mask))
+        return _bits(builder, builder.icmp_signed("==", share, _splat(builder, value)))
+
+    n, i4 = types.int64, types.int32
+    return types.int64(a, n, i4, i4), body
+
+
+@intrinsic
+def first_bit(typingctx, bits):
+    """The place of the lowest bit that is set."""
+
+    def body(context, builder, signature, args):
+        name = "llvm.cttz.i64"
+        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(LONG, [LONG, ir.IntType(1)]), name)
+        return builder.call(function, [args[0], ir.Constant(ir.IntType(1), 1)])
+
+    return types.int64(types.int64), body
+
+
+@intrinsic
+def least_of_rows(typingctx, a, out):
+    """out[k] = the least of a[32 i + k] over sixteen i, for 32 k, int32."""
+
+    def body(context, builder, signature, args):
+        a, out = args
+        for half in (0, LANES):
+            total = None
+            for i in range(LANES):
+                row = _load(context, builder, signature.args[0], a, ir.Constant(LONG, 2 * LANES * i + half), INT)
+                total = row if total is None else builder.select(builder.icmp_signed("<", row, total), row, total)
+            _store(context, builder, total, signature.args[1], out, ir.Constant(LONG, half), INT)
+        return context.get_dummy_value()
+
+    return types.void(a, out), body
+
+
 @intrinsic
 def weighted_median(typingctx, values, shares, half):
-    """The least of `PLACES` values up to which shares of `half` or more lie; unused places hold infinity and 0.
+    """The least of `MOST_VALUES` values up to which shares of `half` or more lie; unused ones, and the places after them, hold infinity and 0.
 
     All are compared with all: quicker than sorting so few, since it needs no decision.
     """
@@ -195,7 +269,7 @@ def weighted_median(typingctx, values, shares, half):
         kinds = signature.args
         wide = [_load(context, builder, kinds[0], values, ir.Constant(LONG, k), FLOAT) for k in (0, LANES)]
         upto = [ir.Constant(FLOATS, [0.0] * LANES)] * 2
-        for k in range(PLACES):
+        for k in range(MOST_VALUES):
             place = ir.Constant(LONG, k)
             value, share = (
                 _splat(builder, builder.load(_at(context, builder, kind, a, place, FLOAT), typ=FLOAT)) for kind, a in zip(kinds, (values, shares))

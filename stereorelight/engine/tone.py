@@ -8,45 +8,87 @@ import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Bool, Float32, UInt8, UInt16
+from stereorelight.engine.fastmath import kernel
 from stereorelight.engine.rows import in_row_blocks
 
 f4 = np.float32
 LEVELS = 4096  # sixteen to an 8-bit grey level
 
 
+_leaf = kernel(fastmath=False, noalias=True)
+
+
+@_leaf
+def _level_row(flat, scale, out):
+    """Tone levels of a row, as it comes; `flat` (3 W,)."""
+    for i in range(flat.size):
+        v = flat[i] * scale
+        v = v if v > f4(0) else f4(0)  # false for NaN
+        v = v if v < f4(1) else f4(1)
+        out[i] = np.int32(np.sqrt(v) * f4(LEVELS - 1) + f4(0.5))
+
+
+@_leaf
+def _known_row(flat, out):
+    """Returns how many pixels of a row are known, finite in every channel."""
+    n = 0
+    for x in range(out.size):
+        total = flat[3 * x] + flat[3 * x + 1] + flat[3 * x + 2]
+        out[x] = total - total == f4(0)  # false for NaN and infinity
+        n += out[x]
+    return n
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mend_row(known, out):
+    """Unknown pixels take the nearest known one of their row, so that a frame's border has no step to match."""
+    W = known.size
+    last = -1
+    for x in range(W):
+        if known[x]:
+            last = x
+        elif last >= 0:
+            for c in range(3):
+                out[x, c] = out[last, c]
+    last = -1
+    for x in range(W - 1, -1, -1):
+        if known[x]:
+            last = x
+            if x == 0 or known[x - 1]:
+                continue
+            left = x - 1
+            while left >= 0 and not known[left]:
+                left -= 1
+            for k in range(left + 1, x):
+                if left < 0 or x - k < k - left:
+                    for c in range(3):
+                        out[k, c] = out[x, c]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _levels(first, end, linear, scale, out, known):
     W = linear.shape[1]
-    top = f4(LEVELS - 1)
+    row = np.empty(3 * W, np.int32)
     for y in range(first, end):
+        flat = linear[y].reshape(3 * W)
+        _level_row(flat, scale, row)
         for x in range(W):
-            known[y, x] = np.isfinite(linear[y, x, 0] + linear[y, x, 1] + linear[y, x, 2])
-            for c in range(3):
-                v = linear[y, x, c] * scale
-                v = v if v > f4(0) else f4(0)  # false for NaN
-                v = v if v < f4(1) else f4(1)
-                out[y, x, 2 - c] = np.uint16(np.sqrt(v) * top + f4(0.5))
-        # Unknown pixels take the nearest known one of their row, so that a frame's border has no step to match.
-        last = -1
+            out[y, x, 0], out[y, x, 1], out[y, x, 2] = row[3 * x + 2], row[3 * x + 1], row[3 * x]
+        if _known_row(flat, known[y]) < W:
+            _mend_row(known[y], out[y])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _codes(first, end, linear, scale, table, out):
+    W = linear.shape[1]
+    row, known = np.empty(3 * W, np.int32), np.empty(W, np.bool_)
+    for y in range(first, end):
+        flat = linear[y].reshape(3 * W)
+        _level_row(flat, scale, row)
         for x in range(W):
-            if known[y, x]:
-                last = x
-            elif last >= 0:
-                for c in range(3):
-                    out[y, x, c] = out[y, last, c]
-        last = -1
-        for x in range(W - 1, -1, -1):
-            if known[y, x]:
-                last = x
-                if x == 0 or known[y, x - 1]:
-                    continue
-                left = x - 1
-                while left >= 0 and not known[y, left]:
-                    left -= 1
-                for k in range(left + 1, x):
-                    if left < 0 or x - k < k - left:
-                        for c in range(3):
-                            out[y, k, c] = out[y, x, c]
+            out[y, x, 0], out[y, x, 1], out[y, x, 2] = table[row[3 * x + 2]], table[row[3 * x + 1]], table[row[3 * x]]
+        if _known_row(flat, known) < W:
+            _mend_row(known, out[y])
 
 
 def levels(linear: Float32, *, white: float) -> tuple[UInt16, Bool]:
@@ -54,6 +96,14 @@ def levels(linear: Float32, *, white: float) -> tuple[UInt16, Bool]:
     out, known = np.empty(linear.shape, np.uint16), np.empty(linear.shape[:2], np.bool_)
     in_row_blocks(lambda first, end: _levels(first, end, linear, f4(1 / white), out, known), linear.shape[0])
     return out, known
+
+
+def codes(linear: Float32, *, white: float) -> UInt8:
+    """8-bit BGR (H, W, 3) of scene-linear RGB in its own tones: `levels` and a straight table in one pass."""
+    out = np.empty(linear.shape, np.uint8)
+    table = (np.linspace(0, 255, LEVELS, dtype=np.float32) + f4(0.5)).astype(np.uint8)
+    in_row_blocks(lambda first, end: _codes(first, end, linear, f4(1 / white), table, out), linear.shape[0])
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

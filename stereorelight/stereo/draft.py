@@ -26,7 +26,7 @@ def full_size(refined: Refined, picture: UInt8) -> Refined:
         slope_x=slope_x,
         slope_y=slope_y,
         unseen=nearest(refined.unseen.view(np.uint8), size).view(np.bool_),
-        sigma_px=np.hypot(2 * nearest(refined.sigma_px, size), np.float32(HALF_SIZE_SIGMA_PX)),
+        sigma_px=nearest(np.hypot(2 * refined.sigma_px, np.float32(HALF_SIZE_SIGMA_PX)), size),
         slope_sigma=nearest(refined.slope_sigma, size),
         clumped=nearest(refined.clumped, size),
     )

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float32, Float64, UInt8, UInt16
-from stereorelight.engine.tone import LEVELS, levels, median_twist, through_tables
+from stereorelight.engine.tone import LEVELS, codes, levels, median_twist, through_tables
 from stereorelight.errors import PlateError
 
 Number = TypeVar("Number", np.float32, np.uint16)
@@ -134,7 +134,7 @@ def _straight() -> Float32:
 
 def picture_of(plate: Float32, eye: str) -> UInt8:
     """(H, W, 3) BGR 8-bit of one rectified plate, in its own tones: for what tells things apart by their colours.  Raises PlateError as below."""
-    return through_tables(levels(plate, white=_white(plate, eye))[0], _straight())[0]
+    return codes(np.ascontiguousarray(plate), white=_white(plate, eye))
 
 
 def matching_proxy(left: Float32, right: Float32) -> Proxy:
