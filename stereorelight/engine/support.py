@@ -176,7 +176,7 @@ def _columns(begin, end, turn, width, weight, inverse, cost, index, keep, best, 
                  into the block after it, and no further.   width : of the picture.
     The sums from above are kept every `SEGMENT` rows, and made again from there a segment at a time: all that is looked at twice stays near.
     """
-    blocks, H = cost.shape[:2]
+    H = cost.shape[1]
     flat, shares, worths = cost.reshape(cost.size), weight.reshape(weight.size), inverse.reshape(weight.size)
     bests, less, more, before = best.reshape(best.size), below.reshape(best.size), above.reshape(best.size), last.reshape(best.size)
     others = right.reshape(right.size)

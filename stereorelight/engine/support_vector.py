@@ -93,7 +93,7 @@ def fetch(typingctx, cost, i):
     """Have cost[i] (uint16) at hand soon, to be written to."""
 
     def body(context, builder, signature, args):
-        place = builder.bitcast(_at(context, builder, signature.args[0], *args, SHORT), ir.IntType(8).as_pointer())
+        place = builder.bitcast(_at(context, builder, signature.args[0], args[0], args[1], SHORT), ir.IntType(8).as_pointer())
         function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(ir.VoidType(), [place.type, INT, INT, INT]), "llvm.prefetch.p0")
         builder.call(function, [place, ir.Constant(INT, 1), ir.Constant(INT, 3), ir.Constant(INT, 1)])
         return context.get_dummy_value()
