@@ -26,8 +26,8 @@ from stereorelight.engine.rows import in_row_blocks
 
 # A light's row, float32.
 PLACE, IS_PLACE, SIDE_U, SIDE_V, AXIS = 0, 3, 4, 7, 10  # position or unit vector towards it; half its extent each way; its shining side
-BALL, RECTANGLE = 13, 14  # radius, 0 for none; 1 for a rectangle
-COLUMNS = 15
+BALL, RECTANGLE, TURNED = 13, 14, 15  # radius, 0 for none; 1 for a rectangle; least cosine of N to the light that still gets an answer
+COLUMNS = 16
 STRIP = 256
 BLOCK = 32  # rays that go together: fewer pass over more, more take fewer turns
 CHUNK_PX = 32  # so far a block tries to go at once
@@ -35,7 +35,7 @@ LEAST_LOOKS, MOST_LOOKS = 4, 12  # and so many looks
 ROUNDING = f4(1e-6)  # of inverse depth, for the ends of a way against the looks between them
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever these do;
 # tests/test_light_layers.py holds them together.
-LEAVES = "bb62831be45dc69e"  # march_rays.py
+LEAVES = "469266ccd60c512c"  # march_rays.py
 TOPS = "92031a7ea538403e"  # march_tops.py
 OPEN, UNSEEN = 0.0, -1.0  # in the grid: nothing there however far; nobody knows
 
@@ -71,6 +71,32 @@ def _look(b, at, columns, thick, grid, u, v, k, du, dv, dk, found, above, crosse
         behind = seen - ray
         after = behind > f4(0)
         hit = after & (behind < thick * seen * ray)
+        unseen = (seen < f4(0)) | (after & (not hit))
+        hidden[i] = f4(1) if unseen else hidden[i]
+        still = f4(0) if hit else lit[i]
+        cross = still if behind * above[i] < f4(0) else f4(0)
+        above[i] = behind
+        crossed[i] = cross
+        lit[i] = still
+        found[i] = seen
+        left += still
+        many += cross
+    return left, many
+
+
+@kernel(noalias=True)
+def _look_deep(b, at, columns, backs, grid, u, v, k, du, dv, dk, found, above, crossed, lit, hidden):
+    """`_look` where each cell has a back of its own, as inverse depth."""
+    left = f4(0)
+    many = f4(0)
+    for j in range(BLOCK):
+        i = b + np.uintp(j)
+        here = i4(v[i] + dv[i] * at) * columns + i4(u[i] + du[i] * at)
+        seen = look_up(grid, here)
+        ray = k[i] + dk[i] * at
+        behind = seen - ray
+        after = behind > f4(0)
+        hit = after & (ray > look_up(backs, here))
         unseen = (seen < f4(0)) | (after & (not hit))
         hidden[i] = f4(1) if unseen else hidden[i]
         still = f4(0) if hit else lit[i]
@@ -130,7 +156,7 @@ def _passed(b, above):
 
 
 @kernel(noalias=True)
-def _go(b, steps, grid, reach, columns, tops, wide, thick, u, v, k, du, dv, dk, pixels, found, above, crossed, lit, hidden):
+def _go(b, steps, grid, reach, columns, tops, wide, thick, backs, u, v, k, du, dv, dk, pixels, found, above, crossed, lit, hidden):
     """March the rays of one block to their ends."""
     longest, left = _start(b, du, dv, above, lit, hidden)
     count = min(steps, int(longest) + 1)
@@ -151,7 +177,10 @@ def _go(b, steps, grid, reach, columns, tops, wide, thick, u, v, k, du, dv, dk, 
                 continue
         while s <= end and left > f4(0.5):
             at = f4(s) * step
-            left, many = _look(b, at, columns, thick, grid, u, v, k, du, dv, dk, found, above, crossed, lit, hidden)
+            if len(backs) > 1:
+                left, many = _look_deep(b, at, columns, backs, grid, u, v, k, du, dv, dk, found, above, crossed, lit, hidden)
+            else:
+                left, many = _look(b, at, columns, thick, grid, u, v, k, du, dv, dk, found, above, crossed, lit, hidden)
             if many > f4(0):
                 left -= _through(b, at, step, columns, grid, reach, u, v, du, dv, pixels, found, crossed, lit)
             s += 1
@@ -159,7 +188,7 @@ def _go(b, steps, grid, reach, columns, tops, wide, thick, u, v, k, du, dv, dk, 
 
 @kernel()
 def _rows(
-    first, end, P, N, lift, half, asked, partly, grid, reach, columns, tops, wide, fx, fy, cx, cy, near, nearest, thick, q, offsets,
+    first, end, P, N, lift, half, asked, partly, grid, reach, columns, tops, wide, fx, fy, cx, cy, near, nearest, thick, backs, q, offsets,
     steps, lit, unknown,
 ):  # fmt: skip
     """Rows first..end; P, N are (H, 3 W); grid is flat with a border of one cell, `columns` wide; cx, cy hold the border and half a pixel."""
@@ -183,7 +212,7 @@ def _rows(
             halves = half[y, x : x + n]
             for sample in range(samples):
                 if straight:
-                    leaf.straight(n, q[0], q[1], q[2], q[3], px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
+                    leaf.straight(n, q[0], q[1], q[2], q[3], q[TURNED], px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
                 else:
                     first_kind = (y & 3) * 4  # a strip begins at a multiple of four
                     for i in range(n):
@@ -201,7 +230,7 @@ def _rows(
                 for place in range(0, n, BLOCK):
                     b = np.uintp(place)
                     _go(
-                        b, steps, grid, reach, columns, tops, wide, thick, u, v, k, du, dv, dk, pixels, found, above, crossed, going, hidden,
+                        b, steps, grid, reach, columns, tops, wide, thick, backs, u, v, k, du, dv, dk, pixels, found, above, crossed, going, hidden,
                     )  # fmt: skip
                 leaf.gather(n, nearest, k, dk, lost, going, hidden, weight, shone, doubt, total)
             leaf.shares(n, shone, doubt, total, lit[y, x : x + n], unknown[y, x : x + n])
@@ -213,7 +242,7 @@ class Grid:
 
     cells, reach : flat, with a border of one cell, `columns` wide.     pinhole : fx, fy, cx, cy of the camera that it is seen by.
     near    : metres, just nearer than the nearest cell.     nearest : inverse depth beyond which nothing is expected outside the frame.
-    tops, wide : of `march_tops.tops_of`.
+    tops, wide : of `march_tops.tops_of`.     thickness_m : of all that is seen.     backs : or of each cell, the inverse depth of its back.
     """
 
     cells: Float32
@@ -224,11 +253,16 @@ class Grid:
     nearest: float
     tops: Float32
     wide: int
+    thickness_m: float
+    backs: Float32
 
 
-def grid_of(inverse: Float32, reach: Float32, pinhole: tuple[float, float, float, float], *, nearest: float) -> Grid:
+def grid_of(
+    inverse: Float32, reach: Float32, pinhole: tuple[float, float, float, float], *, nearest: float, thickness_m: float | Float32 = 0.0
+) -> Grid:
     """inverse : (h, w) inverse depth, 1 / metres; OPEN where nothing is, UNSEEN where nobody knows.
-    reach   : (h, w) 1 / metres, what inverse depth changes by to a cell's neighbours on the same surface, at most."""
+    reach   : (h, w) 1 / metres, what inverse depth changes by to a cell's neighbours on the same surface, at most.
+    thickness_m : how far things go on behind what is seen of them; a number or (h, w)."""
 
     def bordered(values: Float32, beyond: float) -> Float32:
         room = np.full((values.shape[0] + 2, values.shape[1] + 2), beyond, np.float32)
@@ -237,9 +271,13 @@ def grid_of(inverse: Float32, reach: Float32, pinhole: tuple[float, float, float
 
     near = 0.999 / max(float(inverse.max()), 1e-9)
     tops, wide = tops_of(inverse)
+    backs = np.zeros(1, np.float32)
+    if isinstance(thickness_m, np.ndarray):
+        thick, thickness_m = np.nan_to_num(thickness_m), 0.0
+        backs = bordered(np.where(inverse > 0, inverse / (1 + np.maximum(inverse, 0) * thick), inverse).astype(np.float32), UNSEEN)
     return Grid(
         cells=bordered(inverse, UNSEEN), reach=bordered(reach, 0.0), columns=inverse.shape[1] + 2, pinhole=pinhole, near=near, nearest=nearest,
-        tops=tops, wide=wide,
+        tops=tops, wide=wide, thickness_m=thickness_m, backs=backs,
     )  # fmt: skip
 
 
@@ -253,7 +291,6 @@ def march(
     light: Float32,
     offsets: Float32,
     *,
-    thickness_m: float,
     steps: int,
 ) -> tuple[Float32, Float32]:
     """(lit, unknown), (H, W) float32 in 0..1; both 0 where the surface turns its back on the light, is not known, or not asked for.
@@ -267,7 +304,7 @@ def march(
     height, width = N.shape[:2]
     lit, unknown = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     fx, fy, cx, cy = grid.pinhole
-    numbers = (f4(fx), f4(fy), f4(cx + 1.5), f4(cy + 1.5), f4(grid.near), f4(grid.nearest), f4(thickness_m))
+    numbers = (f4(fx), f4(fy), f4(cx + 1.5), f4(cy + 1.5), f4(grid.near), f4(grid.nearest), f4(grid.thickness_m), grid.backs)
     flat = [a.reshape(height, -1) for a in (P, N)]
     where = np.empty((1, 1), np.float32) if asked is None else asked
 

@@ -11,11 +11,14 @@ from stereorelight.engine.fastmath import f4, kernel
 
 # As `march.LEAVES`, of fastmath.py.
 FASTMATH = "66c93d0f0531acee"
+FAINT = 1e-6  # what a sample counts for that N turns away from, by less than N is known
 
 
 @kernel(noalias=True)
 def targets(n, oa, ob, q, px, py, pz, nx, ny, nz, lift, sx, sy, sz, lx, ly, lz, far, weight):
-    """Where the rays start, the unit way to the light's sample, how far it is, and how much it counts for."""
+    """Where the rays start, the unit way to the light's sample, how far it is, and how much it counts for.
+
+    By its cosine; and by next to nothing where that is between q[15] and 0."""
     for i in range(n):
         a = oa[i]
         b = ob[i]
@@ -52,7 +55,9 @@ def targets(n, oa, ob, q, px, py, pz, nx, ny, nz, lift, sx, sy, sz, lx, ly, lz, 
         front = nx[i] * tx + ny[i] * ty + nz[i] * tz
         shining = -(tx * q[10] + ty * q[11] + tz * q[12]) * r * r
         shining = shining if shining > f4(0) else f4(0)
-        w = front * (shining if q[14] > f4(0) else f4(1))
+        shown = shining if q[14] > f4(0) else f4(1)
+        w = front * shown
+        least = f4(FAINT) * shown if front > q[15] else f4(0)
         sx[i] = ox
         sy[i] = -oy
         sz[i] = -oz if oz < f4(-1e-6) else f4(1e-6)
@@ -60,11 +65,11 @@ def targets(n, oa, ob, q, px, py, pz, nx, ny, nz, lift, sx, sy, sz, lx, ly, lz, 
         ly[i] = -ty
         lz[i] = -tz
         far[i] = f4(1) / r if q[3] > f4(0) else f4(1e9)
-        weight[i] = w if w > f4(0) else f4(0)
+        weight[i] = w if w > least else least
 
 
 @kernel(noalias=True)
-def straight(n, lx_, ly_, lz_, w, px, py, pz, nx, ny, nz, lift, sx, sy, sz, lx, ly, lz, far, weight):
+def straight(n, lx_, ly_, lz_, w, turned, px, py, pz, nx, ny, nz, lift, sx, sy, sz, lx, ly, lz, far, weight):
     """`targets` of a light without a size."""
     for i in range(n):
         ox = px[i] + nx[i] * lift[i]
@@ -83,7 +88,8 @@ def straight(n, lx_, ly_, lz_, w, px, py, pz, nx, ny, nz, lift, sx, sy, sz, lx, 
         ly[i] = -ty * r
         lz[i] = -tz * r
         far[i] = d2 * r if w > f4(0) else f4(1e9)
-        weight[i] = front if front > f4(0) else f4(0)
+        least = f4(FAINT) if front > turned else f4(0)
+        weight[i] = front if front > least else least
 
 
 @kernel(noalias=True)

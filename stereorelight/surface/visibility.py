@@ -32,6 +32,7 @@ METHODS = ("march", "rays")
 SIGMAS = 2.0  # standard deviations of the depth that a ray starts off it by at most, as far as its neighbours are that rough
 REACH = 1.0  # tangent of a slope that any surface may have between two looks of the march
 BESIDE_PX = 4  # of matched depth: how far beside a nearer thing the ground is not to be trusted
+TURNED = 0.35  # least cosine, below 0, of a recovered N to the light at which rays still go out: some 20 degrees, three sigma of a face
 LEAST = 2e-5  # of the distance: float32 itself
 STEPS = 512
 NEAREST = 0.995  # quantile of inverse depth: what stands alone in front of everything does not say how near things come
@@ -150,6 +151,13 @@ class ShadowScene:
         return found
 
     @cached_property
+    def turned(self) -> float:
+        """The least cosine of N to the light at which the surface is asked for its shadow: below 0 where N may be off.
+
+        N tells how much light a pixel takes, the surface what stops it: a found N that has turned away a degree too early is no shadow."""
+        return 0.0 if self.Z_sigma is None else -TURNED
+
+    @cached_property
     def _embree(self) -> Any:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
@@ -195,7 +203,7 @@ class ShadowScene:
         seen = inverse[inverse > 0]
         nearest = 0.0 if self.outside_open or not seen.size else float(np.quantile(seen, NEAREST))
         if not camera.distorts:
-            return grid_of(inverse, self.reach, numbers, nearest=nearest)
+            return grid_of(inverse, self.reach, numbers, nearest=nearest, thickness_m=self.thickness_m)
         slopes = camera.ray_grid()
         low, high = np.nanmin(slopes, axis=(0, 1)), np.nanmax(slopes, axis=(0, 1))
         fx, fy = camera.fx, camera.fy
@@ -208,7 +216,10 @@ class ShadowScene:
         at = np.where(inside[..., None], at, 0).astype(np.int64)
         straight = np.where(inside, inverse[at[..., 1], at[..., 0]], np.float32(UNSEEN)).astype(np.float32)
         reach = np.where(inside, self.reach[at[..., 1], at[..., 0]], np.float32(0)).astype(np.float32)
-        return grid_of(straight, reach, (fx, fy, -float(x0), -float(y0)), nearest=nearest)
+        thick = self.thickness_m
+        if isinstance(thick, np.ndarray):
+            thick = np.where(inside, thick[at[..., 1], at[..., 0]], np.float32(0)).astype(np.float32)
+        return grid_of(straight, reach, (fx, fy, -float(x0), -float(y0)), nearest=nearest, thickness_m=thick)
 
     def shadow(
         self,
@@ -247,15 +258,16 @@ class ShadowScene:
     def _marched(self, emitter: Emitter, lift: Float32, asked: Float32 | None, samples: int, steps: int) -> Shadow:
         from stereorelight.engine.march import march
 
-        thickness = float(np.nanmean(self.thickness_m))
         offsets = pattern(samples, disc=emitter.shape != "rectangle").astype(np.float32)
         if emitter.is_hard:
             offsets[:] = 0
-        row = march_row(emitter)
-        lit, unknown = march(self.P, self.N, lift, self.halves, asked, self.grid, row, offsets, thickness_m=thickness, steps=steps)
+        row = march_row(emitter, turned=self.turned)
+        lit, unknown = march(self.P, self.N, lift, self.halves, asked, self.grid, row, offsets, steps=steps)
         return Shadow(lit=lit, unknown=unknown)
 
     def _traced(self, emitter: Emitter, lift: Float32, asked: Float32 | None, samples: int) -> Float32:
+        from stereorelight.engine.march_rays import FAINT
+
         h, w = self.Z.shape
         lit = np.zeros(h * w, np.float32)
         offsets = spread_pattern(samples)
@@ -272,7 +284,8 @@ class ShadowScene:
             shone, total = np.zeros(len(at)), np.zeros(len(at))
             for sample in range(samples):
                 ways, distances = towards_light(emitter, starts, offsets[kind[at], sample])
-                weight = np.maximum((n * ways).sum(axis=-1), 0)
+                front = (n * ways).sum(axis=-1)
+                weight = np.where(front > self.turned, np.maximum(front, FAINT), 0)
                 if emitter.shape == "rectangle":
                     weight *= np.maximum(-(ways @ axis), 0) / np.maximum(distances, 1e-6) ** 2
                 facing = weight > 0
@@ -308,12 +321,13 @@ def pattern(samples: int, *, disc: bool) -> Float64:
     return on_disc(square) if disc else 2 * square - 1
 
 
-def march_row(emitter: Emitter) -> Float32:
-    """An emitter as the march reads it."""
+def march_row(emitter: Emitter, *, turned: float = 0.0) -> Float32:
+    """An emitter as the march reads it.     turned : least cosine of N to it that still gets an answer."""
     from stereorelight.engine import march as engine
     from stereorelight.surface.emitters import across
 
     row = np.zeros(engine.COLUMNS, np.float64)
+    row[engine.TURNED] = turned
     if emitter.shape == "direction":
         towards = np.array(emitter.towards)
         u, v = across(towards)
