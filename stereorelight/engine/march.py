@@ -212,7 +212,8 @@ def _rows(
             halves = half[y, x : x + n]
             for sample in range(samples):
                 if straight:
-                    leaf.straight(n, q[0], q[1], q[2], q[3], q[TURNED], px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
+                    turned = q[TURNED]
+                    leaf.straight(n, q[0], q[1], q[2], q[3], turned, px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
                 else:
                     first_kind = (y & 3) * 4  # a strip begins at a multiple of four
                     for i in range(n):
