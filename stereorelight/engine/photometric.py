@@ -8,10 +8,13 @@ import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Float32
+from stereorelight.engine.fastmath import kernel
 from stereorelight.engine.rows import in_row_blocks
 from stereorelight.engine.windows import row_mean_square_9
 
 f4 = np.float32
+i4 = np.int32
+_leaf = kernel(fastmath=False, noalias=True)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -107,30 +110,39 @@ def row_splines(picture: Float32) -> Float32:
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _mirrored(k, W):
-    return k if k < W else max(2 * W - 2 - k, 0)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _with_ends(row, out):
+    """A row with its neighbours mirrored at both ends: one place before it, two after it."""
+    W = row.size
+    out[0], out[1 : W + 1] = row[min(1, W - 1)], row
+    out[W + 1], out[W + 2] = row[max(W - 2, 0)], row[max(W - 3, 0)]
+
+
+@_leaf
+def _difference_row(row, own, other, d, residual, rate):
+    W = row.size
+    for x in range(W):
+        u = min(max(f4(x) - d[x], f4(0)), f4(W - 1))
+        k = i4(u)
+        t = u - f4(k)
+        s = f4(1) - t
+        c0, c1, c2, c3 = other[k], other[k + 1], other[k + 2], other[k + 3]
+        value = s * s * s * c0 + (f4(4) - f4(6) * t * t + f4(3) * t * t * t) * c1 + (f4(4) - f4(6) * s * s + f4(3) * s * s * s) * c2 + t * t * t * c3
+        slope = -s * s * c0 + (f4(3) * t * t - f4(4) * t) * c1 + (f4(4) * s - f4(3) * s * s) * c2 + t * t * c3
+        here = own[x + 2] - own[x]
+        residual[x] = row[x] - f4(1 / 6) * value
+        # Both eyes' slopes: the mean is right to second order where either alone is right to first.
+        rate[x] = f4(-0.25) * (slope + here)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _differences(first, end, left, left_spline, right_spline, disparity, residual, rate):
     W = left.shape[1]
+    own, other = np.empty(W + 3, np.float32), np.empty(W + 3, np.float32)
     for y in range(first, end):
-        row, own, other, d = left[y], left_spline[y], right_spline[y], disparity[y]
-        for x in range(W):
-            u = min(max(f4(x) - d[x], f4(0)), f4(W - 1))
-            k = int(u)
-            t = u - f4(k)
-            s = f4(1) - t
-            c0, c1, c2, c3 = other[abs(k - 1)], other[k], other[_mirrored(k + 1, W)], other[_mirrored(k + 2, W)]
-            value = (
-                s * s * s * c0 + (f4(4) - f4(6) * t * t + f4(3) * t * t * t) * c1 + (f4(4) - f4(6) * s * s + f4(3) * s * s * s) * c2 + t * t * t * c3
-            )
-            slope = -s * s * c0 + (f4(3) * t * t - f4(4) * t) * c1 + (f4(4) * s - f4(3) * s * s) * c2 + t * t * c3
-            here = own[_mirrored(x + 1, W)] - own[abs(x - 1)]
-            residual[y, x] = row[x] - f4(1 / 6) * value
-            # Both eyes' slopes: the mean is right to second order where either alone is right to first.
-            rate[y, x] = f4(-0.25) * (slope + here)
+        _with_ends(left_spline[y], own)
+        _with_ends(right_spline[y], other)
+        _difference_row(left[y], own, other, disparity[y], residual[y], rate[y])
 
 
 def spline_residual(left: Float32, left_spline: Float32, right_spline: Float32, disparity: Float32) -> tuple[Float32, Float32]:
@@ -140,11 +152,11 @@ def spline_residual(left: Float32, left_spline: Float32, right_spline: Float32, 
     return residual, rate
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@_leaf
 def _evidence_row(disparity, residual, rate, noise2, rate2, trust, locking, steepness, weight, pull):
     for x in range(disparity.size):
         u = f4(x) - disparity[x]
-        t = int((u - np.floor(u)) * f4(FRACTIONS))
+        t = i4((u - np.floor(u)) * f4(FRACTIONS))
         e, g, n2 = residual[x], rate[x], noise2[x]
         k = f4(1) / (f4(1) + e * e / (f4(9) * n2))
         k *= k

@@ -77,12 +77,10 @@ def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings, plate:
     half = replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX))
     depth, picture = at_once(lambda: _of_pair(proxy, search, half, None, hints), lambda: picture_of(plate, eye))
     size = (picture.shape[0], picture.shape[1])
-    return RectifiedDepth(
-        refined=full_size(depth.refined, picture),
-        confidence=np.ascontiguousarray(nearest(depth.confidence, size)),
-        flags=np.ascontiguousarray(nearest(depth.flags, size)),
-        vertical_px=depth.vertical_px,
+    refined, (confidence, flags) = at_once(
+        lambda: full_size(depth.refined, picture), lambda: tuple(np.ascontiguousarray(nearest(a, size)) for a in (depth.confidence, depth.flags))
     )
+    return RectifiedDepth(refined=refined, confidence=confidence, flags=flags, vertical_px=depth.vertical_px)
 
 
 def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None, hints: Hinted | None) -> RectifiedDepth:

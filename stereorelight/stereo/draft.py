@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stereorelight.arrays import UInt8
+from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.bending import slopes
 from stereorelight.engine.resample import doubled_planes
+from stereorelight.engine.rows import at_once
 from stereorelight.stereo.halves import nearest
 from stereorelight.stereo.refine import CUT_PX, Refined, lined
 
@@ -19,14 +20,23 @@ HALF_SIZE_SIGMA_PX = 0.12  # what pictures of half the size are off by whatever 
 def full_size(refined: Refined, picture: UInt8) -> Refined:
     """A half-size `Refined` on the full-size picture (H, W, 3)."""
     size = (picture.shape[0], picture.shape[1])
-    disparity = lined(doubled_planes(refined.disparity, (refined.slope_x, refined.slope_y), size), picture)
-    slope_x, slope_y = slopes(disparity, cut=CUT_PX)
+
+    def surface() -> tuple[Float32, Float32, Float32]:
+        disparity = lined(doubled_planes(refined.disparity, (refined.slope_x, refined.slope_y), size), picture)
+        return disparity, *slopes(disparity, cut=CUT_PX)
+
+    def rest() -> tuple[Bool, Float32, Float32, Float32]:
+        sigma = np.hypot(2 * refined.sigma_px, np.float32(HALF_SIZE_SIGMA_PX))
+        unseen = nearest(refined.unseen.view(np.uint8), size).view(np.bool_)
+        return unseen, nearest(sigma, size), nearest(refined.slope_sigma, size), nearest(refined.clumped, size)
+
+    (disparity, slope_x, slope_y), (unseen, sigma, slope_sigma, clumped) = at_once(surface, rest)
     return Refined(
         disparity=disparity,
         slope_x=slope_x,
         slope_y=slope_y,
-        unseen=nearest(refined.unseen.view(np.uint8), size).view(np.bool_),
-        sigma_px=nearest(np.hypot(2 * refined.sigma_px, np.float32(HALF_SIZE_SIGMA_PX)), size),
-        slope_sigma=nearest(refined.slope_sigma, size),
-        clumped=nearest(refined.clumped, size),
+        unseen=unseen,
+        sigma_px=sigma,
+        slope_sigma=slope_sigma,
+        clumped=clumped,
     )

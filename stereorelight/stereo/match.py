@@ -15,7 +15,7 @@ import numpy.typing as npt
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.camera import RectifiedRig
 from stereorelight.engine.occlusion import background, consistent
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.rows import at_once, in_row_blocks
 from stereorelight.engine.support import supported
 from stereorelight.errors import PlateError
 from stereorelight.stereo.halves import half_proxy, nearest
@@ -122,11 +122,16 @@ def _left_px(matcher: cv2.StereoSGBM, proxy: Proxy, search: DisparityRange) -> F
     return _as_pixels(raw, search.low)
 
 
-def semi_global(proxy: Proxy, search: DisparityRange) -> Match:
-    """Both eyes by SGBM alone, three directions: quick, and stiff.  For small copies."""
+def both_eyes(proxy: Proxy, search: DisparityRange) -> tuple[Float32, Float32]:
+    """Each eye's own disparity by SGBM alone, three directions: quick, and stiff.  For small copies."""
     matcher = _matcher(proxy, search)
-    left = _left_px(matcher, proxy, search)
-    return Match(left=left, right=_right_px(matcher, proxy, search), dense=everywhere(left))
+    return at_once(lambda: _left_px(matcher, proxy, search), lambda: _right_px(_matcher(proxy, search), proxy, search))
+
+
+def semi_global(proxy: Proxy, search: DisparityRange) -> Match:
+    """`both_eyes` as a `Match`."""
+    left, right = both_eyes(proxy, search)
+    return Match(left=left, right=right, dense=everywhere(left))
 
 
 def without_speckles(disparity: Float32, smallest_px: int) -> Float32:
@@ -243,8 +248,8 @@ def coarse_disparity(proxy: Proxy, search: DisparityRange) -> Float32:
     Matched on a small copy: a few milliseconds, for whoever must know which pixels belong together and not how far they are.
     """
     coarse, scale = _coarse(proxy)
-    found = semi_global(coarse, DisparityRange.holding(search.low * scale, search.high * scale))
-    seen = np.where(consistent(found.left, found.right, within_px=0.75), found.left / np.float32(scale), np.float32(np.nan))
+    seen, other = both_eyes(coarse, DisparityRange.holding(search.low * scale, search.high * scale))
+    seen = np.where(consistent(seen, other, within_px=0.75), seen / np.float32(scale), np.float32(np.nan))
     height, width = proxy.left_grey.shape
     return cv2.resize(seen.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
 
@@ -265,10 +270,10 @@ def search_range(proxy: Proxy, rig: RectifiedRig, *, near_m: float | None = None
     infinity = -rig.doffs_px * scale
     reach = COARSE_REACH * width
     wide = DisparityRange.holding(infinity - reach / 3, infinity + reach)
-    found = semi_global(coarse, wide)
+    found, other = both_eyes(coarse, wide)
     textured = coarse.left_known & (np.abs(cv2.Scharr(coarse.left_grey, cv2.CV_32F, 1, 0)) / 32 > TEXTURE)
-    believed = consistent(found.left, found.right, within_px=0.75) & textured
-    d = found.left[believed]
+    believed = consistent(found, other, within_px=0.75) & textured
+    d = found[believed]
     if d.size < max(FEWEST_MATCHES * textured.sum(), 50):
         raise PlateError("left and right plates hardly match anywhere; are they swapped, of another moment, or of another rig?")
     behind = float(np.mean(d < infinity - 1.5))

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float32, Float64, UInt8, UInt16
+from stereorelight.engine.rows import at_once
 from stereorelight.engine.tone import LEVELS, codes, levels, median_twist, through_tables
 from stereorelight.errors import PlateError
 
@@ -142,8 +143,10 @@ def matching_proxy(left: Float32, right: Float32) -> Proxy:
 
     Raises : PlateError when a plate has no known pixel or no light at all.
     """
-    left_level, left_known = levels(left, white=_white(left, "left"))
-    right_level, right_known = levels(right, white=_white(right, "right"))
-    left_bgr, left_grey = through_tables(left_level, _straight())
-    right_bgr, right_grey = through_tables(right_level, tone_tables(right_level, left_level))
+    (left_level, left_known), (right_level, right_known) = at_once(
+        lambda: levels(left, white=_white(left, "left")), lambda: levels(right, white=_white(right, "right"))
+    )
+    (left_bgr, left_grey), (right_bgr, right_grey) = at_once(
+        lambda: through_tables(left_level, _straight()), lambda: through_tables(right_level, tone_tables(right_level, left_level))
+    )
     return Proxy(left=left_bgr, right=right_bgr, left_grey=left_grey, right_grey=right_grey, left_known=left_known, right_known=right_known)

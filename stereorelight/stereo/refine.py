@@ -10,7 +10,9 @@ In: a `Proxy` and its dense disparity.  Out: a `Refined` disparity with slopes a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -22,6 +24,7 @@ from stereorelight.engine.occlusion import background, unseen
 from stereorelight.engine.photometric import held_evidence, row_splines, spline_residual
 from stereorelight.engine.pyramid import doubled, halved
 from stereorelight.engine.refine import blended, robust_planes
+from stereorelight.engine.rows import at_once
 from stereorelight.engine.windows import less_local_means
 from stereorelight.stereo.hints import on_matte_edge
 from stereorelight.stereo.proxy import Proxy
@@ -135,24 +138,33 @@ def clumped(weight: Float32, pull: Float32) -> Float32:
     return _grown(doubled(small, quarter), weight.shape)
 
 
-def expected_bend(disparity: Float32, weight: Float32, bend: Float32) -> Float32:
+def bends_seen(disparity: Float32) -> list[Float32]:
+    """Mean squares of the bends about each pixel, px^2 per px^4, on the quarter-size grid, as seen on grids of the full size, a half, a quarter
+    and an eighth."""
+    shape = ((disparity.shape[0] + 3) // 4, (disparity.shape[1] + 3) // 4)
+    seen, d = [], disparity
+    for k in range(4):
+        logs, counts = bend_energy(d, cut=CUT_PX * min(2**k, 4))
+        logs, counts = (_shrunk(a, 2 - k) if k < 3 else doubled(a, shape) for a in (logs, counts))
+        logs, counts = (cv2.GaussianBlur(a, (0, 0), BEND_RADIUS / 4) for a in (logs, counts))
+        seen.append(np.exp(logs / np.maximum(counts, np.float32(1e-3))) * np.float32(GEOMETRIC / 16**k))
+        d = halved(d, surface=True)
+    return seen
+
+
+def expected_bend(energies: list[Float32], weight: Float32, bend: Float32) -> Float32:
     """What the surface about each pixel bends by (standard deviation, px per px^2), on the quarter-size grid.
 
-    weight : local mean weight; bend: what was expected when `disparity` was solved for; both on that grid.
+    energies : what `bends_seen` says of a disparity.   weight : local mean weight; bend: what was expected when that disparity was solved
+    for; both on that grid.
     The bends that are seen, over the share of them that the evidence could determine, 1/8 bend sqrt(weight) per pixel; each seen on the
     grid that matches the width it was averaged over, so that what is left of the noise counts little.
     """
     reach = (bend * bend * np.maximum(weight, 1e-9)) ** np.float32(-0.25)  # px that the plate averages over
     level = np.clip(np.log2(1.25 * reach), 0, 3).astype(np.int8)
     seen = np.empty_like(bend)
-    d = disparity
-    for k in range(4):
-        logs, counts = bend_energy(d, cut=CUT_PX * min(2**k, 4))
-        logs, counts = (_shrunk(a, 2 - k) if k < 3 else doubled(a, bend.shape) for a in (logs, counts))
-        logs, counts = (cv2.GaussianBlur(a, (0, 0), BEND_RADIUS / 4) for a in (logs, counts))
-        energy = np.exp(logs / np.maximum(counts, np.float32(1e-3))) * np.float32(GEOMETRIC / 16**k)
+    for k, energy in enumerate(energies):
         np.copyto(seen, energy, where=level == k)
-        d = halved(d, surface=True)
     determined = np.minimum(0.125 * bend * np.sqrt(weight), 0.5)
     window = 4 * np.pi * BEND_RADIUS**2
     square = (BEND_DOUBT * BEND**2 + window * seen) / (BEND_DOUBT + window * determined)
@@ -186,9 +198,8 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
     trust : (H, W) 0..1, weighs the evidence; nothing is asked of the right eye where it is `UNSEEN_TRUST` or less.
     """
     left_spline, right_spline = row_splines(proxy.left_grey), row_splines(proxy.right_grey)
-    d = disparity
-    bend: Float32 | None = None
-    for k in range(effort.rounds):
+
+    def evidence(d: Float32) -> tuple[Float32, Float32, Float32]:
         # A difference of brightness over a neighbourhood is exposure, not disparity.
         residual, rate = less_local_means(*spline_residual(proxy.left_grey, left_spline, right_spline, d), trust, least=UNSEEN_TRUST)
         few = residual[::4, ::4]
@@ -196,8 +207,14 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
         weight, pull = held_evidence(
             d, residual, rate, trust, disparity, most2=9 * usual, floor2=NOISE_FLOOR**2, unseen=UNSEEN_TRUST, priors=(UNSEEN_PRIOR, PRIOR)
         )
-        mean = _mean_weight(weight)
-        bend = np.full_like(mean, BEND) if bend is None else expected_bend(d, mean, bend)
+        return weight, pull, _mean_weight(weight)
+
+    d = disparity
+    bend: Float32 | None = None
+    for k in range(effort.rounds):
+        bends: Callable[[], list[Float32]] = list if bend is None else partial(bends_seen, d)
+        (weight, pull, mean), energies = at_once(partial(evidence, d), bends)
+        bend = np.full_like(mean, BEND) if bend is None else expected_bend(energies, mean, bend)
         finest = effort.finest if k < effort.rounds - 1 else 0
         moved = plate_correction(d, weight, pull, _grown(bend, d.shape), cut=CUT_PX, levels=LEVELS, steps=effort.steps, finest=finest)
         d = d + np.clip(moved, -1, 1)
@@ -288,11 +305,14 @@ def refine(
     sure = confirmed if known is None else confirmed & known
     behind = background(fine, sure)
     # Hidden: what would be hidden if it were the background, so that a thin thing before a wall keeps its own value.
-    hidden = unseen(np.where(sure, fine, behind)) | unseen(fine) | _out_of_range(fine, sure)
-    lost = hidden & ~sure
-    empty = lost if known is None else lost | ~known
     # The median takes out streaks: a row whose nearest match is wrong.
-    filled = np.where(empty, cv2.medianBlur(behind, 5), fine)
+    hidden, (beyond, calm_behind) = at_once(
+        lambda: unseen(np.where(sure, fine, behind)) | unseen(fine),
+        lambda: (_out_of_range(fine, sure), cv2.medianBlur(behind, 5)),
+    )
+    lost = (hidden | beyond) & ~sure
+    empty = lost if known is None else lost | ~known
+    filled = np.where(empty, calm_behind, fine)
     trust = np.where(sure, np.float32(1), np.float32(UNSURE_TRUST))
     trust[lost] = UNSEEN_TRUST
     if ramps:
