@@ -42,7 +42,8 @@ CLEAN_STEP, CALM_STEP = 2.0, 1.5  # cost of a step of the census; of calm plates
 AGAIN_PULL, AGAIN_LIMIT = 4.0, 16.0  # of grainy plates' second look, to what both eyes said at the first
 P1, P2 = 2 * BLOCK**2, 30 * BLOCK**2  # penalties of a step by one and of a jump, per channel: low for steps, since planes smooth later; high for
 # jumps, since adaptive support finds the outlines and wants one answer on a wall that repeats
-CALM_P2 = 12 * BLOCK**2  # of a jump in calmed pictures, whose contrast is less: more carries what is near over plain ground beside it
+CALM_P2 = 12 * BLOCK**2  # of a jump on plain ground in calmed pictures, whose contrast is less: more carries what is near over such ground beside it
+CALM_PLAIN, CALM_PLAIN_WINDOW = 5.0, (9, 9)  # grey levels per px along the row
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,18 +157,19 @@ def _right_px(matcher: cv2.StereoSGBM, proxy: Proxy, search: DisparityRange) -> 
     return -_as_pixels(raw, 1 - search.high)  # the right matcher counts x_right - x_left
 
 
-def _plain(proxy: Proxy) -> Bool:
+def _plain(grey: Float32, most: float, window: tuple[int, int]) -> Bool:
     """(H, W): ground that has nothing to hold a match by along its row."""
-    steep = cv2.Sobel(proxy.left_grey, cv2.CV_32F, 1, 0, scale=1 / 8)
-    return cv2.blur(steep * steep, PLAIN_WINDOW) < PLAIN**2
+    steep = cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8)
+    return cv2.blur(steep * steep, window) < most**2
 
 
-def _guide(matcher: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: DisparityRange) -> Float32:
+def _guide(matcher: cv2.StereoSGBM, loose: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: DisparityRange) -> Float32:
     """What leads adaptive support: SGBM's left answer, and that of half the size under grain or where much of the picture is plain.
 
     Half the size has a quarter of the noise, and the rims of plain ground are nearer there; it is blind to what is thin.  Under grain it
-    speaks where SGBM's right answer does not confirm the left one.  In clean plates it speaks on plain ground, and only where SGBM is lost
-    on a good part of the picture: elsewhere the full size knows better (docs/decisions/0026-plain-ground.md).
+    speaks where SGBM's right answer does not confirm the left one, which on plain ground is that of `loose`, to which a jump costs less.  In
+    clean plates it speaks on plain ground, and only where SGBM is lost on a good part of the picture: elsewhere the full size knows better
+    (docs/decisions/0028-plain-ground.md, 0040-grain-matched-twice.md).
     """
     left = _left_px(matcher, calm, search)
     if min(left.shape) < 2 * HALF_SMALLEST_PX:
@@ -175,7 +177,7 @@ def _guide(matcher: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: Disparity
     clean, lost = calm is proxy, np.isnan(left)
     if clean and np.mean(lost) < PLAIN_LOST:
         return left
-    plain = _plain(proxy) if clean else np.True_
+    plain = _plain(proxy.left_grey, PLAIN, PLAIN_WINDOW) if clean else _plain(grey_of(calm.left), CALM_PLAIN, CALM_PLAIN_WINDOW)
     if clean and np.mean(plain & lost) < PLAIN_LOST:
         return left
     small = match(half_proxy(proxy), search.halved(), guided=clean)  # clean plates go on to a quarter of the size, as long as it is plain, too
@@ -183,6 +185,7 @@ def _guide(matcher: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: Disparity
     sure = nearest(consistent(small.left, small.right).view(np.uint8), (left.shape[0], left.shape[1])) > 0
     if clean:
         return np.where(plain & sure, half, left)
+    left = np.where(plain, _left_px(loose, calm, search), left)
     with np.errstate(invalid="ignore"):
         stands = consistent(left, _right_px(matcher, calm, search)) | (np.abs(left - half) <= HALF_AGREES_PX)
     return np.where(stands, left, np.where(sure, half, np.float32(np.nan)))
@@ -199,12 +202,12 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     noise = proxy.noise()
     calm = proxy.calmed()
     step = CLEAN_STEP if calm is proxy and guided else CALM_STEP
-    stiffness, jump = float(np.clip(noise / NOISY, 1, 2)), P2 if calm is proxy else CALM_P2
-    matcher = _matcher(calm, search, exhaustive=exhaustive, stiffness=stiffness, jump=jump)
+    stiffness = float(np.clip(noise / NOISY, 1, 2))
+    stiff, loose = (_matcher(calm, search, exhaustive=exhaustive, stiffness=stiffness, jump=jump) for jump in (P2, CALM_P2))
     left_grey, right_grey = (proxy.left_grey, proxy.right_grey) if calm is proxy else (grey_of(calm.left), grey_of(calm.right))
     given = None
     if led:
-        given = _guide(matcher, proxy, calm, search) if guided else _left_px(matcher, calm, search)
+        given = _guide(stiff, loose, proxy, calm, search) if guided else _left_px(stiff if calm is proxy else loose, calm, search)
     seen = (calm.left, left_grey, right_grey, search.low, search.count)
     alike = max(1.0, ALIKE * noise)
     left, right = supported(*seen, given=given, alike=alike, step=step)
