@@ -17,7 +17,22 @@ from numba import njit
 
 from stereorelight import comp
 from stereorelight.camera import Camera
-from stereorelight.engine import area_rows, ball_rows, fastmath, light_rows, lobe_rows, march, march_rays, march_tops, rows, stream
+from stereorelight.engine import (
+    area_rows,
+    ball_rows,
+    fastmath,
+    light_rows,
+    light_table,
+    lobe_rows,
+    march,
+    march_rays,
+    march_tops,
+    one_light,
+    other_lights,
+    plain_lights,
+    rows,
+    stream,
+)
 from stereorelight.engine import light as engine
 from stereorelight.errors import PassError, ShotError
 from stereorelight.light.lights import DirectionalLight, Light, PointLight, SpotLight
@@ -305,6 +320,65 @@ def test_picture_and_layers_from_one_pass_are_those_of_two() -> None:
     assert not layers
 
 
+@pytest.mark.parametrize("exponent", [1, 2, 3, 5, 8, 21, 32, 77, 100, 127])
+@pytest.mark.parametrize("width", [19, 64, 600])
+def test_one_light_alone_is_what_it_is_among_others(exponent: int, width: int) -> None:
+    """A single light goes through a loop of its own; with a light of no strength beside it, it goes through the strips of many lights."""
+    _, N, plate = scene(9, 9, width)
+    Z = np.random.default_rng(1).uniform(1, 5, (9, width)).astype(np.float32)
+    Z[3, 4], Z[5, 6], N[7, 8], plate[2, 2] = np.nan, np.inf, np.nan, np.nan
+    matte = np.linspace(0, 1, Z.size, dtype=np.float32).reshape(Z.shape)
+    off = PointLight(name="off", position_m=(0, 0, 0), intensity=0)
+    kinds = (
+        PointLight(name="a", position_m=(1, 1, 0), specular=0.5, exponent=exponent, wrap=0.3),
+        PointLight(name="a", position_m=(0, 0, 0), specular=0.5, exponent=exponent, matte="skin", attenuation="linear"),
+        DirectionalLight(name="a", azimuth_deg=20, elevation_deg=10, specular=1, exponent=exponent),
+        PointLight(name="a", position_m=(1, 1, 0), exponent=exponent + 0.5),
+    )
+    for camera in (camera_of(9, width), camera_of(9, width, (-0.2, 0.05, 0.001, -0.001))):
+        for light in kinds:
+            alone, among = (relight_fused(plate, Z, N, camera, lights, plate_gain=0.5, mattes={"skin": matte}) for lights in ([light], [light, off]))
+            assert np.nanmax(np.abs(among - 0.5 * plate)) > 0.01
+            np.testing.assert_allclose(alone, among, rtol=2e-6, atol=REFERENCE * 0.1 * np.nanmax(among))
+            for y, x in ((3, 4), (5, 6), (7, 8)):
+                np.testing.assert_array_equal(alone[y, x], plate[y, x] * np.float32(0.5))
+            assert np.isnan(alone[2, 2]).all()
+            assert np.isfinite(alone).sum() == alone.size - 3
+
+
+def test_plain_lights_do_not_wait_for_the_kernel_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That kernel takes most of a minute to compile."""
+
+    def never(*args: object) -> None:
+        raise AssertionError("the kernel of other lights was asked")
+
+    monkeypatch.setattr(engine.other, "other_lights", never)
+    camera = camera_of(H, W)
+    P, N, plate = scene(3)
+    relight_with_layers(plate, -P[..., 2], N, camera, ALL_KINDS, mattes={"skin": plate[..., 0] / 2})
+    light_layers(P, N, plate, ALL_KINDS, mattes={"skin": plate[..., 0] / 2})
+    with pytest.raises(AssertionError, match="was asked"):
+        relight_fused(plate, -P[..., 2], N, camera, [dataclasses.replace(ALL_KINDS[0], rim=1)])
+
+
+def test_plain_and_other_lights_add_up_in_one_picture() -> None:
+    camera = camera_of(21, 70)
+    _, N, plate = scene(9, 21, 70)
+    Z = np.random.default_rng(1).uniform(1, 5, camera.size_hw).astype(np.float32)
+    albedo = plate[::-1].copy()
+    lights = [
+        *ALL_KINDS[:2],
+        dataclasses.replace(ALL_KINDS[3], name="rim", rim=0.5),
+        PointLight(name="g", position_m=(1, 0, 0), model="ggx", specular=1),
+    ]
+    for own in (None, albedo):
+        beauty, layers = relight_with_layers(plate, Z, N, camera, lights, plate_gain=0.5, albedo=own)
+        np.testing.assert_allclose(beauty, comp.relight(plate, layers, plate_gain=0.5), rtol=1e-5, atol=FLOAT * beauty.max())
+        for light in lights:
+            for name, layer in relight_with_layers(plate, Z, N, camera, [light], albedo=plate if own is None else own)[1].items():
+                np.testing.assert_allclose(layer, layers[name], rtol=1e-5, atol=FLOAT * layer.max())
+
+
 def test_fused_without_lights_is_the_plate_bit_for_bit() -> None:
     camera = camera_of(H, W)
     P, N, plate = scene(3)
@@ -408,14 +482,21 @@ def test_the_cached_kernels_are_those_of_todays_files() -> None:
     pairs = (
         (fastmath, "FASTMATH", light_rows),
         (fastmath, "FASTMATH", area_rows),
-        (light_rows, "LEAVES", engine),
-        (area_rows, "AREA_LEAVES", engine),
+        (light_rows, "LEAVES", one_light),
+        (light_rows, "LEAVES", plain_lights),
+        (one_light, "ONE", plain_lights),
+        (light_table, "TABLE", plain_lights),
+        (light_rows, "LEAVES", other_lights),
+        (plain_lights, "PLAIN", other_lights),
+        (light_table, "TABLE", other_lights),
+        (area_rows, "AREA_LEAVES", other_lights),
         (fastmath, "FASTMATH", lobe_rows),
         (lobe_rows, "LOBES", ball_rows),
-        (lobe_rows, "LOBE_LEAVES", engine),
-        (ball_rows, "BALL_LEAVES", engine),
+        (lobe_rows, "LOBE_LEAVES", other_lights),
+        (ball_rows, "BALL_LEAVES", other_lights),
         (fastmath, "FASTMATH", stream),
-        (stream, "STREAM", engine),
+        (stream, "STREAM", plain_lights),
+        (stream, "STREAM", other_lights),
         (fastmath, "FASTMATH", march_rays),
         (march_rays, "LEAVES", march),
         (march_tops, "TOPS", march),

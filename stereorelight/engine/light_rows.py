@@ -8,15 +8,25 @@ from __future__ import annotations
 
 import math
 
-from stereorelight.engine.fastmath import angle_of_chord, f4, i4, kernel, power_below_one
+import numpy as np
+
+from stereorelight.engine.fastmath import angle_of_chord, f4, kernel, power_below_one
 
 NEAREST_M = 0.01  # a surface nearer to the light than this is lit as from here, so that nothing is infinite
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever fastmath.py does;
 # tests/test_light_layers.py holds the two together.
 FASTMATH = "66c93d0f0531acee"
 
-_NEAREST2 = f4(NEAREST_M**2)
-_FARTHEST2 = f4(1e30)  # square of what no scene reaches; beyond it, and NaN, is missing
+NEAREST2 = f4(NEAREST_M**2)
+FARTHEST2 = f4(1e30)  # square of what no scene reaches; beyond it, and NaN, is missing
+
+
+@kernel(forceinline=True, fastmath=False)
+def per_root(a):
+    """1 / sqrt(a) as IEEE has it: the same bits on every processor, and exactly 1 for 1.
+
+    Left free, the compiler takes the processor's own guess and one step of Newton: no faster beside the rest, and off by a bit or two."""
+    return f4(1) / math.sqrt(a)
 
 
 @kernel(inline="always")
@@ -24,8 +34,8 @@ def put_surface(i, x, y, z, a, b, c, px, py, pz, nx, ny, nz, vx, vy, vz, known):
     """P, N and V = normalize(-P) into their rows; a pixel without P or N is marked 0 in `known` and made harmless."""
     p2 = x * x + y * y + z * z
     n2 = a * a + b * b + c * c
-    r = f4(-1) / math.sqrt(p2)
-    good = (p2 > f4(1e-20)) & (p2 < _FARTHEST2) & (n2 > f4(0.25)) & (n2 < f4(4))
+    r = -per_root(p2)
+    good = (p2 > f4(1e-20)) & (p2 < FARTHEST2) & (n2 > f4(0.25)) & (n2 < f4(4))
     px[i] = x if good else f4(0)
     py[i] = y if good else f4(0)
     pz[i] = z if good else f4(0)
@@ -38,26 +48,41 @@ def put_surface(i, x, y, z, a, b, c, px, py, pz, nx, ny, nz, vx, vy, vz, known):
     known[i] = f4(1) if good else f4(0)
 
 
-@kernel(noalias=True)
-def surface_by_pinhole(n, first, cx, per_fx, slope_y, Z, N, px, py, pz, nx, ny, nz, vx, vy, vz, known):
-    """P = (x Z, -y Z, -Z); anything but a positive Z becomes the origin, which is no place for a surface."""
+@kernel()
+def pinhole_columns(n, fx, cx):
+    """How far right of the axis the rays of a pinhole's columns go, a metre in front of it."""
+    x = np.empty(n, np.float32)
     for i in range(n):
-        d = Z[i] if Z[i] > f4(0) else f4(0)
-        x = (f4(first + i4(i)) - cx) * per_fx * d
-        put_surface(i, x, -slope_y * d, -d, N[3 * i], N[3 * i + 1], N[3 * i + 2], px, py, pz, nx, ny, nz, vx, vy, vz, known)
+        x[i] = (f4(i) - cx) / fx
+    return x
 
 
 @kernel(noalias=True)
-def surface_by_rays(n, rays, Z, N, px, py, pz, nx, ny, nz, vx, vy, vz, known):
+def taken_apart(n, rays, x, y):
+    """Rays (x right, y down) as two rows, y up."""
+    for i in range(n):
+        x[i] = rays[2 * i]
+        y[i] = -rays[2 * i + 1]
+
+
+@kernel(noalias=True)
+def surface_by_rays(n, x, y, Z, N, px, py, pz, nx, ny, nz, vx, vy, vz, known):
+    """P = (x Z, y Z, -Z); anything but a positive Z becomes the origin, which is no place for a surface."""
     for i in range(n):
         d = Z[i] if Z[i] > f4(0) else f4(0)
-        put_surface(i, rays[2 * i] * d, -rays[2 * i + 1] * d, -d, N[3 * i], N[3 * i + 1], N[3 * i + 2], px, py, pz, nx, ny, nz, vx, vy, vz, known)
+        put_surface(i, x[i] * d, y[i] * d, -d, N[3 * i], N[3 * i + 1], N[3 * i + 2], px, py, pz, nx, ny, nz, vx, vy, vz, known)
 
 
 @kernel(noalias=True)
 def surface_by_position(n, P, N, px, py, pz, nx, ny, nz, vx, vy, vz, known):
     for i in range(n):
         put_surface(i, P[3 * i], P[3 * i + 1], P[3 * i + 2], N[3 * i], N[3 * i + 1], N[3 * i + 2], px, py, pz, nx, ny, nz, vx, vy, vz, known)
+
+
+@kernel(noalias=True)
+def fill(n, value, target):
+    for i in range(n):
+        target[i] = value
 
 
 @kernel(noalias=True)
@@ -93,8 +118,8 @@ def through_cone(n, lx, ly, lz, ex, ey, ez, edge, per_angle, px, py, pz, lit):
         b = ly - py[i]
         c = lz - pz[i]
         d2 = a * a + b * b + c * c
-        d2 = _NEAREST2 if d2 < _NEAREST2 else d2
-        r = f4(1) / math.sqrt(d2)
+        d2 = NEAREST2 if d2 < NEAREST2 else d2
+        r = per_root(d2)
         a = a * r + ex
         b = b * r + ey
         c = c * r + ez
@@ -111,8 +136,8 @@ def lambert(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, lit, e
         b = ly - w * py[i]
         c = lz - w * pz[i]
         d2 = a * a + b * b + c * c
-        d2 = _NEAREST2 if d2 < _NEAREST2 else d2
-        r = f4(1) / math.sqrt(d2)
+        d2 = NEAREST2 if d2 < NEAREST2 else d2
+        r = per_root(d2)
         nl = (nx[i] * a + ny[i] * b + nz[i] * c) * r
         k = nl * ws + wo
         k = k if k > f4(0) else f4(0)
@@ -129,8 +154,8 @@ def phong(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, vx, vy, 
         b = ly - w * py[i]
         c = lz - w * pz[i]
         d2 = a * a + b * b + c * c
-        d2 = _NEAREST2 if d2 < _NEAREST2 else d2
-        r = f4(1) / math.sqrt(d2)
+        d2 = NEAREST2 if d2 < NEAREST2 else d2
+        r = per_root(d2)
         a = a * r
         b = b * r
         c = c * r
@@ -158,30 +183,40 @@ def lobe(n, exponent, h, front, s):
 def lobe_whole(n, exponent, least, h, front, s):
     """The same for a whole exponent by squaring, a third of the work; h is used up.
 
-    Bases below `least` count as 0: their powers would leave float32's normal range, where some processors crawl."""
+    Bases below `least` count as 0.  Two bits of the exponent at a time, the highest first."""
+    place = 6
+    while place > 0 and not exponent >> place:
+        place -= 2
+    digit = exponent >> place
     for i in range(n):
         x = f4(1) - h[i]
         x = x if x > least else f4(0)
         h[i] = x
-        s[i] = x
-    bit = 1
-    while 2 * bit <= exponent:
-        bit *= 2
-    while bit > 1:
-        bit //= 2
-        if exponent & bit:
-            for i in range(n):
-                s[i] = s[i] * s[i] * h[i]
-        elif bit > 1 and not exponent & (bit // 2):
-            bit //= 2
+        s[i] = x * x if digit > 1 else x
+    if digit == 3:
+        for i in range(n):
+            s[i] *= h[i]
+    while place > 0:
+        place -= 2
+        digit = (exponent >> place) & 3
+        if digit == 0:
             for i in range(n):
                 x = s[i] * s[i]
                 s[i] = x * x
+        elif digit == 1:
+            for i in range(n):
+                x = s[i] * s[i]
+                s[i] = x * x * h[i]
+        elif digit == 2:
+            for i in range(n):
+                x = s[i] * s[i] * h[i]
+                s[i] = x * x
         else:
             for i in range(n):
-                s[i] = s[i] * s[i]
+                x = s[i] * s[i] * h[i]
+                s[i] = x * x * h[i]
     for i in range(n):
-        s[i] = s[i] * front[i]
+        s[i] *= front[i]
 
 
 @kernel(noalias=True)
@@ -198,6 +233,17 @@ def add(n, e, red, green, blue, r, g, b):
         r[i] += e[i] * red
         g[i] += e[i] * green
         b[i] += e[i] * blue
+
+
+@kernel(noalias=True)
+def add_both(n, e, red, green, blue, s, glow_r, glow_g, glow_b, r, g, b, x, y, z):
+    for i in range(n):
+        r[i] += e[i] * red
+        g[i] += e[i] * green
+        b[i] += e[i] * blue
+        x[i] += s[i] * glow_r
+        y[i] += s[i] * glow_g
+        z[i] += s[i] * glow_b
 
 
 @kernel(noalias=True)
@@ -251,20 +297,17 @@ def write_relit_plate(m, plate, gain_r, gain_g, gain_b, dr, dg, db, sr, sg, sb, 
 
 
 @kernel(noalias=True)
-def write_one_light(m, plate, gain_r, gain_g, gain_b, e, dr, dg, db, s, sr, sg, sb, out):
-    """`write_relit_plate` for a single light, straight from its strengths: a dozen strips less to write and read."""
+def add_to_picture(m, albedo, dr, dg, db, sr, sg, sb, out):
     for i in range(m):
-        r = plate[3 * i]
-        g = plate[3 * i + 1]
-        b = plate[3 * i + 2]
-        k = e[i]
-        lit_r = r * (k * dr) if abs(r) < f4(1e30) else f4(0)
-        lit_g = g * (k * dg) if abs(g) < f4(1e30) else f4(0)
-        lit_b = b * (k * db) if abs(b) < f4(1e30) else f4(0)
-        k = s[i]
-        out[3 * i] = r * gain_r + (lit_r + k * sr)
-        out[3 * i + 1] = g * gain_g + (lit_g + k * sg)
-        out[3 * i + 2] = b * gain_b + (lit_b + k * sb)
+        r = albedo[3 * i]
+        g = albedo[3 * i + 1]
+        b = albedo[3 * i + 2]
+        r = r * dr[i] if abs(r) < f4(1e30) else f4(0)
+        g = g * dg[i] if abs(g) < f4(1e30) else f4(0)
+        b = b * db[i] if abs(b) < f4(1e30) else f4(0)
+        out[3 * i] += r + sr[i]
+        out[3 * i + 1] += g + sg[i]
+        out[3 * i + 2] += b + sb[i]
 
 
 @kernel(noalias=True)

@@ -212,7 +212,7 @@ def _rows(
     shadows: Mapping[str, npt.ArrayLike],
 ) -> _Rows:
     """One row for every light on every material, the lights' own settings first."""
-    from stereorelight.engine import light as engine
+    from stereorelight.engine import light_table as engine
     from stereorelight.engine.area_rows import NODES
 
     stack: list[Float32] = []
@@ -270,7 +270,7 @@ def _matte(name: str, asker: str, mattes: Mapping[str, npt.ArrayLike], size_hw: 
 
 def _table(lights: Sequence[Light]) -> Float32:
     """The lights as rows of the engine's table; everything that is the same for all pixels is multiplied here, in float64."""
-    from stereorelight.engine import light as engine
+    from stereorelight.engine import light_table as engine
 
     table = np.zeros((len(lights), engine.COLUMNS), np.float64)
     for row, light in zip(table, lights):

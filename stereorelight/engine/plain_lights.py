@@ -1,0 +1,219 @@
+"""The kernel of most scenes: lights without size, Lambert and Phong, on one surface.
+
+In, out, frame: as in light.py.  Everything else (lights with a size, GGX, materials, rims) is other_lights.py, which takes ten times as long to
+compile and is not asked for where there is none of it.
+A row goes through in strips that stay in the cache; each step is a leaf loop over separate rows, which the compiler turns into vector code.
+Strips are padded to whole vectors, so a pixel's bits do not depend on where its row was cut."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stereorelight.engine import light_rows as leaf
+from stereorelight.engine.fastmath import f4, floor, kernel
+from stereorelight.engine.light_table import (
+    AXIS,
+    DIFFUSE,
+    DIFFUSE_SLOT,
+    EDGE,
+    EXPONENT,
+    FALL_LINEAR,
+    FALL_NONE,
+    FALL_SQUARE,
+    IS_PLACE,
+    MATTE,
+    MOST_SQUARED,
+    PER_ANGLE,
+    SPECULAR,
+    SPECULAR_SLOT,
+    STRIP,
+    VECTOR,
+    WINDOW,
+    WRAP_OFFSET,
+    WRAP_SCALE,
+)
+from stereorelight.engine.one_light import one_light
+from stereorelight.engine.stream import stream, streamed
+
+# As in light_rows.py: this file must change whenever these do.
+LEAVES = "217e828bfd9ccad4"
+ONE = "38eedb342ad85e97"
+TABLE = "a0d25496bbe43a0d"
+STREAM = "8a555a433ab59bd6"
+SUMS = 13  # the first of six rows for sums
+ROWS = 24  # of a strip, see below
+
+
+@kernel(forceinline=True)
+def surface(y, x, m, n, has_P, has_rays, P, Z, rays, N, columns, fy, cy, tail, rx, ry, px, py, pz, nx, ny, nz, vx, vy, vz, known):
+    """P, N and V of the strip x..x+m of row y, filled up to n.   columns : x of the rays of a pinhole, a row longer by VECTOR.
+    tail : (3, 3 VECTOR) of room.   rx, ry : rows for rays."""
+    whole = m // VECTOR * VECTOR
+    # Whole vectors straight from the picture, and what is left over from a padded copy, through the same code.
+    for part in range(2):
+        i = 0 if part == 0 else whole
+        count = whole if part == 0 else n - whole
+        if count == 0:
+            continue
+        Ns = N[y, 3 * x : 3 * (x + m)] if part == 0 else leaf.padded(N[y, 3 * (x + i) : 3 * (x + m)], tail[0])
+        ax, ay, az, bx, by, bz, cx_, cy_, cz, kn = px[i:], py[i:], pz[i:], nx[i:], ny[i:], nz[i:], vx[i:], vy[i:], vz[i:], known[i:]
+        if has_P:
+            Ps = P[y, 3 * x : 3 * (x + m)] if part == 0 else leaf.padded(P[y, 3 * (x + i) : 3 * (x + m)], tail[1])
+            leaf.surface_by_position(count, Ps, Ns, ax, ay, az, bx, by, bz, cx_, cy_, cz, kn)
+            continue
+        Zs = Z[y, x : x + m] if part == 0 else leaf.padded(Z[y, x + i : x + m], tail[1])
+        if has_rays:
+            rs = rays[y, 2 * x : 2 * (x + m)] if part == 0 else leaf.padded(rays[y, 2 * (x + i) : 2 * (x + m)], tail[2])
+            leaf.taken_apart(count, rs, rx, ry)
+        else:
+            leaf.fill(count, (cy - f4(y)) / fy, ry)
+        xs = rx if has_rays else columns[x + i :]
+        leaf.surface_by_rays(count, xs, ry, Zs, Ns, ax, ay, az, bx, by, bz, cx_, cy_, cz, kn)
+
+
+@kernel(forceinline=True)
+def reach(m, n, q, matte, row, px, py, pz, known, lit):
+    """What a light's matte, window and cone let through.   matte : whether `row`, (m,), is one."""
+    if matte:
+        leaf.through_matte(m, known, row, lit)
+        lit[m:n] = f4(0)
+    else:
+        leaf.copy(n, known, lit)
+    if q[WINDOW] > f4(0):
+        leaf.through_window(n, q[0], q[1], q[2], q[WINDOW], px, py, pz, lit)
+    if q[PER_ANGLE] > f4(0):
+        leaf.through_cone(n, q[0], q[1], q[2], q[AXIS], q[AXIS + 1], q[AXIS + 2], q[EDGE], q[PER_ANGLE], px, py, pz, lit)
+
+
+@kernel(forceinline=True)
+def squares(exponent):
+    """Whether a lobe is raised by squaring."""
+    return (exponent <= f4(MOST_SQUARED)) & (exponent == floor(exponent))
+
+
+@kernel(forceinline=True)
+def least_base(exponent):
+    """What is below it is dark beside any highlight: 1e-19, whose square is still a normal number; with others some processors crawl."""
+    return f4(1e-19 ** (1 / exponent))
+
+
+@kernel(forceinline=True)
+def phong_light(n, q, least, px, py, pz, nx, ny, nz, vx, vy, vz, lit, e, h, front, s):
+    """Diffuse into e and the highlight into s."""
+    leaf.phong(
+        n, q[0], q[1], q[2], q[IS_PLACE], q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE],
+        px, py, pz, nx, ny, nz, vx, vy, vz, lit, e, h, front,
+    )  # fmt: skip
+    if squares(q[EXPONENT]):
+        leaf.lobe_whole(n, int(q[EXPONENT]), least, h, front, s)
+    else:
+        leaf.lobe(n, q[EXPONENT], h, front, s)
+
+
+@kernel()
+def plain_lights(
+    T, pane, streams, first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, layers, plate, gain,
+    beauty, to_beauty, own_albedo,
+):  # fmt: skip
+    """Rows first..end.  P, N, albedo, plate, beauty are (H, 3 W); rays (H, 2 W); layers (slots, H, 3 W); mattes (k, H, W).
+
+    T : (ROWS, STRIP + PADDING), room for one strip's rows;  pane : (3 STRIP,), where a layer's row is made before it is streamed, where `streams`."""
+    W = N.shape[1] // 3
+    count = lights.shape[0]
+    tail = np.zeros((5, 3 * VECTOR), np.float32)
+    px, py, pz, nx, ny, nz, vx, vy, vz, known = T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9]
+    lit, e, s, dr, dg, db, sr, sg, sb, h, front = T[10], T[11], T[12], T[13], T[14], T[15], T[16], T[17], T[18], T[19], T[20]
+    rx, ry, ones = T[21], T[22], T[23]
+    columns = leaf.pinhole_columns(W + VECTOR, fx, cx)
+    least = np.empty(count, np.float32)
+    for k in range(count):
+        least[k] = least_base(lights[k, EXPONENT])
+    q = lights[0] if count > 0 else gain
+    alone = count == 1 and to_beauty and own_albedo and not has_P
+    up, bit = np.zeros(6, np.bool_), np.zeros(6, np.bool_)
+    if alone:
+        dark = q[SPECULAR] + q[SPECULAR + 1] + q[SPECULAR + 2] == f4(0)
+        alone = q[WINDOW] == f4(0) and q[PER_ANGLE] == f4(0) and (dark or squares(q[EXPONENT]))
+        exponent = int(q[EXPONENT]) if alone and not dark else 1
+        for k in range(6):
+            up[k] = exponent >> (k + 1) > 0
+            bit[k] = up[k] and (exponent >> k) & 1 > 0
+        leaf.fill(STRIP + VECTOR, f4(1), ones)
+    for y in range(first, end):
+        for x in range(0, W, STRIP):
+            m = min(STRIP, W - x)
+            n = (m + VECTOR - 1) // VECTOR * VECTOR
+            strip = slice(3 * x, 3 * (x + m))
+            if alone:
+                whole = m // VECTOR * VECTOR
+                if slots[0, MATTE] >= 0:
+                    leaf.through_matte(m, ones, mattes[slots[0, MATTE], y, x : x + m], lit)
+                    lit[m:n] = f4(0)
+                shown = lit if slots[0, MATTE] >= 0 else ones
+                for part in range(2):
+                    i = 0 if part == 0 else whole
+                    width = whole if part == 0 else n - whole
+                    if width == 0:
+                        continue
+                    Ns = N[y, strip] if part == 0 else leaf.padded(N[y, 3 * (x + i) : 3 * (x + m)], tail[0])
+                    Zs = Z[y, x : x + m] if part == 0 else leaf.padded(Z[y, x + i : x + m], tail[1])
+                    ps = plate[y, strip] if part == 0 else leaf.padded(plate[y, 3 * (x + i) : 3 * (x + m)], tail[3])
+                    out = beauty[y, strip] if part == 0 else tail[4]
+                    if has_rays:
+                        rs = rays[y, 2 * x : 2 * (x + m)] if part == 0 else leaf.padded(rays[y, 2 * (x + i) : 2 * (x + m)], tail[2])
+                        leaf.taken_apart(width, rs, rx, ry)
+                    else:
+                        leaf.fill(width, (cy - f4(y)) / fy, ry)
+                    xs = rx if has_rays else columns[x + i :]
+                    one_light(
+                        width, xs, ry, shown[i:], Zs, Ns, ps, gain[0], gain[1], gain[2], q[0], q[1], q[2], q[IS_PLACE], q[WRAP_SCALE], q[WRAP_OFFSET],
+                        q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE], least[0],
+                        up[5], up[4], up[3], up[2], up[1], up[0], bit[5], bit[4], bit[3], bit[2], bit[1], bit[0],
+                        q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2],
+                        q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], e[i:], s[i:], out,
+                    )  # fmt: skip
+                    if part == 1:
+                        leaf.padded(tail[4][: 3 * (m - whole)], beauty[y, 3 * (x + i) : 3 * (x + m)])
+            else:
+                surface(y, x, m, n, has_P, has_rays, P, Z, rays, N, columns, fy, cy, tail, rx, ry, px, py, pz, nx, ny, nz, vx, vy, vz, known)
+            if to_beauty and not alone:
+                for row in range(SUMS, SUMS + 6):
+                    leaf.fill(n, f4(0), T[row])
+            for k in range(count):
+                q = lights[k]
+                shines = slots[k, SPECULAR_SLOT] >= 0 or q[SPECULAR] + q[SPECULAR + 1] + q[SPECULAR + 2] > f4(0)
+                if not alone:
+                    matte = slots[k, MATTE]
+                    reach(m, n, q, matte >= 0, mattes[matte, y, x : x + m] if matte >= 0 else known, px, py, pz, known, lit)
+                    if shines:
+                        phong_light(n, q, least[k], px, py, pz, nx, ny, nz, vx, vy, vz, lit, e, h, front, s)
+                    else:
+                        leaf.lambert(
+                            n, q[0], q[1], q[2], q[IS_PLACE], q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE],
+                            px, py, pz, nx, ny, nz, lit, e,
+                        )  # fmt: skip
+                    if to_beauty and shines:
+                        leaf.add_both(
+                            n, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], s, q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2],
+                            dr, dg, db, sr, sg, sb,
+                        )  # fmt: skip
+                    elif to_beauty:
+                        leaf.add(n, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], dr, dg, db)
+                for part in range(2):
+                    slot = slots[k, DIFFUSE_SLOT] if part == 0 else slots[k, SPECULAR_SLOT]
+                    if slot < 0:
+                        continue
+                    into = pane if streams else layers[slot, y, strip]
+                    if part == 0:
+                        leaf.write_diffuse(m, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], albedo[y, strip], into)
+                    else:
+                        leaf.write_specular(m, s, q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], into)
+                    if streams:
+                        stream(3 * m, pane, layers[slot, y, strip])
+            if to_beauty and not alone:
+                if own_albedo:
+                    leaf.write_relit_plate(m, plate[y, strip], gain[0], gain[1], gain[2], dr, dg, db, sr, sg, sb, beauty[y, strip])
+                else:
+                    leaf.write_beauty(m, plate[y, strip], albedo[y, strip], gain[0], gain[1], gain[2], dr, dg, db, sr, sg, sb, beauty[y, strip])
+    if streams:
+        streamed()
