@@ -23,10 +23,21 @@ FARTHEST2 = f4(1e30)  # square of what no scene reaches; beyond it, and NaN, is 
 
 @kernel(forceinline=True, fastmath=False)
 def per_root(a):
-    """1 / sqrt(a) as IEEE has it: the same bits on every processor, and exactly 1 for 1.
-
-    Left free, the compiler takes the processor's own guess and one step of Newton: no faster beside the rest, and off by a bit or two."""
+    """1 / sqrt(a) as IEEE has it: the same bits on every processor, and exactly 1 for 1.  For loops that wait for memory anyway."""
     return f4(1) / math.sqrt(a)
+
+
+@kernel(forceinline=True)
+def _quick_per_root(a):
+    """The processor's own guess and a step of Newton: off by a bit or two, another one on another processor."""
+    return f4(1) / math.sqrt(a)
+
+
+@kernel(forceinline=True, fastmath={"contract"})
+def near_per_root(a):
+    """1 / sqrt(a) for loops that wait for it: one more step of Newton with what is left over, and exactly 1 for 1."""
+    r = _quick_per_root(a)
+    return r + f4(0.5) * r * (f4(1) - a * r * r)
 
 
 @kernel(inline="always")
@@ -119,7 +130,7 @@ def through_cone(n, lx, ly, lz, ex, ey, ez, edge, per_angle, px, py, pz, lit):
         c = lz - pz[i]
         d2 = a * a + b * b + c * c
         d2 = NEAREST2 if d2 < NEAREST2 else d2
-        r = per_root(d2)
+        r = near_per_root(d2)
         a = a * r + ex
         b = b * r + ey
         c = c * r + ez
@@ -137,7 +148,7 @@ def lambert(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, lit, e
         c = lz - w * pz[i]
         d2 = a * a + b * b + c * c
         d2 = NEAREST2 if d2 < NEAREST2 else d2
-        r = per_root(d2)
+        r = near_per_root(d2)
         nl = (nx[i] * a + ny[i] * b + nz[i] * c) * r
         k = nl * ws + wo
         k = k if k > f4(0) else f4(0)
@@ -155,7 +166,7 @@ def phong(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, vx, vy, 
         c = lz - w * pz[i]
         d2 = a * a + b * b + c * c
         d2 = NEAREST2 if d2 < NEAREST2 else d2
-        r = per_root(d2)
+        r = near_per_root(d2)
         a = a * r
         b = b * r
         c = c * r

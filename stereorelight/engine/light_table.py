@@ -30,6 +30,6 @@ PHONG, GGX = 0, 1  # MODEL
 # another material; GLOW is its row of the GGX tables.
 
 MOST_SQUARED = 127  # whole exponents up to here are raised by squaring; beyond, rounding would add up to 1e-5
-STRIP = 512  # pixels of a row that go through all steps together
+STRIP = 2048  # pixels of a row that go through all steps together; its rows stay in the second-level cache
 PADDING = 80  # rows a whole page apart would fall onto the same cache lines
 VECTOR = 64  # whole vectors, unrolled, on any machine of today

@@ -9,7 +9,7 @@ from stereorelight.engine.fastmath import f4, kernel
 from stereorelight.engine.light_rows import FARTHEST2, NEAREST2, per_root
 
 # As in light_rows.py: this file must change whenever it does.
-LEAVES = "217e828bfd9ccad4"
+LEAVES = "fc7df987f85ef2e2"
 
 
 @kernel(forceinline=True)
