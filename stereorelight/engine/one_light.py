@@ -9,7 +9,7 @@ from stereorelight.engine.fastmath import f4, kernel
 from stereorelight.engine.light_rows import FARTHEST2, NEAREST2, per_root
 
 # As in light_rows.py: this file must change whenever it does.
-LEAVES = "fc7df987f85ef2e2"
+LEAVES = "98543cc027d8cdb4"
 
 
 @kernel(forceinline=True)
