@@ -5,6 +5,7 @@ The scene is lit by its own lights; depth and normals are recovered from its two
 against what the renderer says that it adds, averaged over the pixel as the plate is.  Figures: relative RMS of light alone, per cent, on the
 subject (head, hair, shirt), both pictures blurred by 2 px.  Albedo and highlights are the true ones; `plate` takes the plate for albedo.
 found: depth, normals and shadow recovered.  -X: with X exact.  X alone: only X as found.  exact: everything exact.
+The blur reaches 2 px beyond the subject: with our shadow it is told once more where nothing beside the subject is lit, in either picture.
 Then where the squared error of the first light lies: within 4 px of depth edges, and away from them on skin, hair and shirt.
 Rendering takes minutes; --cache keeps pairs (those of bench_depth_scenes.py) and truths."""
 
@@ -127,8 +128,11 @@ def told(scene: str, size: tuple[int, int], quality: str, shading: bool, cache: 
                 print(f"{name:>12s}  {size_of:5.1f} % of the subject, {share:5.1f} % of its squared error; its own {its_own:.1f} %")
         cast_exact = Parts(Z=pair["Z"], N=pair["N"], albedo=albedo, shadows=own)
         added = added_light(cast_exact, camera, [light], materials=materials, mattes=mattes)[light.name]
-        error = light_figures(added, truth[f"{light.name}_lit"], region=subject).relative_rms_percent
-        print(f"{light.name:>12s}  exact depth and normals, our shadow from them: {error:.2f}", flush=True)
+        lit = truth[f"{light.name}_lit"]
+        error = light_figures(added, lit, region=subject).relative_rms_percent
+        alone = [np.where(subject[..., None], np.nan_to_num(a), 0).astype(np.float32) for a in (added, lit)]
+        own = light_figures(alone[0], alone[1], region=subject).relative_rms_percent
+        print(f"{light.name:>12s}  exact depth and normals, our shadow from them: {error:.2f}; nothing lit beside the subject: {own:.2f}", flush=True)
 
 
 def main() -> None:
