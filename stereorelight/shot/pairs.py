@@ -24,7 +24,7 @@ from stereorelight.stereo.settings import DepthSettings
 
 EYES: tuple[Eye, Eye] = ("left", "right")
 FLIPPED = "plate_flipped_back"
-MATCH_NOISE_PX = 0.01  # what matched disparity is off by from pixel to pixel, after its own smoothing; 0.05 made relit faces too smooth
+MATCH_NOISE_PX = 0.002  # what matched disparity is off by from pixel to pixel, after its own smoothing; 0.05 made relit faces too smooth
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -104,6 +104,8 @@ BEND = 0.006  # px per px^2: what a surface bends by before anything is known of
 BEND_DOUBT = 4.0  # worth of that guess, in independent measurements
 BEND_LIMITS = (0.0008, 0.15)
 BEND_RADIUS = 6.0  # px over which surfaces bend alike
+WIDE_RADIUS = 40.0  # px over which the guess is made less, where all that is seen there bends less
+WIDE_DOUBT = 1.0  # worth of BEND there: so much ground has a say of its own even where a bend is hardly seen
 CLUMP_RADIUS = 8.0  # px over which errors hang together alike
 GEOMETRIC = 1.5  # mean square of bends over the square of their geometric mean
 BAND = 4 * np.pi  # of frequencies that pixels can hold, squared radians per pixel
@@ -158,7 +160,9 @@ def expected_bend(energies: list[Float32], weight: Float32, bend: Float32) -> Fl
     energies : what `bends_seen` says of a disparity.   weight : local mean weight; bend: what was expected when that disparity was solved
     for; both on that grid.
     The bends that are seen, over the share of them that the evidence could determine, 1/8 bend sqrt(weight) per pixel; each seen on the
-    grid that matches the width it was averaged over, so that what is left of the noise counts little.
+    grid that matches the width it was averaged over, so that what is left of the noise counts little.  A small bend is determined by much
+    ground only, so `BEND`, what is guessed before, is first made less by what the wide surroundings say: a wall lies flatter than a face.
+    Never more: creases and rows that do not agree would make all about them rough.
     """
     reach = (bend * bend * np.maximum(weight, 1e-9)) ** np.float32(-0.25)  # px that the plate averages over
     level = np.clip(np.log2(1.25 * reach), 0, 3).astype(np.int8)
@@ -166,8 +170,14 @@ def expected_bend(energies: list[Float32], weight: Float32, bend: Float32) -> Fl
     for k, energy in enumerate(energies):
         np.copyto(seen, energy, where=level == k)
     determined = np.minimum(0.125 * bend * np.sqrt(weight), 0.5)
-    window = 4 * np.pi * BEND_RADIUS**2
-    square = (BEND_DOUBT * BEND**2 + window * seen) / (BEND_DOUBT + window * determined)
+
+    def judged(guess: Float32 | float, doubt: float, radius: float, bends: Float32, share: Float32) -> Float32:
+        window = np.float32(4 * np.pi * radius**2)
+        return (np.float32(doubt) * guess + window * bends) / (np.float32(doubt) + window * share)
+
+    wide, share = (cv2.GaussianBlur(a, (0, 0), WIDE_RADIUS / 4) for a in (np.log(np.maximum(seen, np.float32(1e-12))), determined))
+    guess = np.minimum(judged(BEND**2, WIDE_DOUBT, WIDE_RADIUS, np.exp(wide), share), np.float32(BEND**2))
+    square = judged(guess, BEND_DOUBT, BEND_RADIUS, seen, determined)
     return np.clip(np.sqrt(square), *BEND_LIMITS).astype(np.float32)
 
 

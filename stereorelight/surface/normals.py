@@ -25,8 +25,9 @@ RADII_PX = (1, 2, 4, 8, 16, 32)
 SIGMA_FINE_DEG, SIGMA_COARSE_DEG = 8.0, 16.0
 SIGMA_FINE_GAIN, SIGMA_COARSE_GAIN = 0.82, 1.05
 # Of depth that matching has smoothed, whose windows agree better than they are right: log(N_sigma, degrees) as always, log of the windows' own
-# disagreement, radians, log of Z_sigma over a pixel's width, log of how far the surface faces the camera, and log of the windows' half-width.
-FITTED = (4.887, 0.468, 0.62, 0.628, -1.052)
+# disagreement, radians, log of Z_sigma over a pixel's width, log of how far the surface faces the camera (one, as geometry has it: the fit left
+# free takes too little of it for floors), and log of the windows' half-width.
+FITTED = (4.41, 0.417, 0.763, 1.0, -0.918)
 FITTED_MOST_DEG = 55.0  # normals of which nothing is known are off by no more than this, two times in three
 LEAST_ERROR = 1e-4  # radians, and metres per metre
 LEAST_FACING = 0.05
