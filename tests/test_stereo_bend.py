@@ -6,7 +6,7 @@ import numpy as np
 
 from stereorelight.engine.bending import plate_correction
 from stereorelight.engine.pyramid import doubled
-from stereorelight.stereo.refine import BEND, CUT_PX, expected_bend
+from stereorelight.stereo.refine import BEND, CUT_PX, bends_seen, expected_bend
 
 SIZE = (400, 480)
 WEIGHT = 10.0  # 1/px^2: a pixel knows its disparity to 0.3 px
@@ -21,7 +21,7 @@ def bend_of(true: np.ndarray) -> np.ndarray:
     for _ in range(3):
         full = doubled(doubled(bend, (SIZE[0] // 2, SIZE[1] // 2)), SIZE)
         d = d + plate_correction(d, weight, weight * (asked - d), full, cut=CUT_PX, steps=8)
-        bend = expected_bend(d, mean, bend)
+        bend = expected_bend(bends_seen(d), mean, bend)
     return bend
 
 
