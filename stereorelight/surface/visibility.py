@@ -250,7 +250,7 @@ class ShadowScene:
         marched = self._marched(emitter, lift, where, count if method == "march" else min(count, 4), steps)
         lit = marched.lit if method == "march" else self._traced(emitter, lift, where, count)
         if count > 1:
-            lit, unknown = np.moveaxis(self.evened(np.stack([lit, marched.unknown], axis=-1)), -1, 0)
+            lit, unknown = self.evened(np.stack([lit, marched.unknown]))
         else:
             unknown = marched.unknown
         return Shadow(lit=lit, unknown=unknown if method == "march" else np.minimum(unknown, lit))
@@ -297,7 +297,7 @@ class ShadowScene:
         return lit.reshape(h, w)
 
     def evened(self, values: Float32) -> Float32:
-        """(H, W, C) with the 4 x 4 kinds of pixel taken together, over neighbours on one surface alone."""
+        """(C, H, W) with the 4 x 4 kinds of pixel taken together, over neighbours on one surface alone."""
         from stereorelight.engine.evening import evened
 
         return evened(np.ascontiguousarray(values, dtype=np.float32), self.P, self.N, min(self.camera.fx, self.camera.fy))
@@ -318,6 +318,9 @@ def spread_pattern(samples: int) -> Float64:
 def pattern(samples: int, *, disc: bool) -> Float64:
     """`spread_pattern` on the unit disc, or on the square of -1 ... 1."""
     square = spread_pattern(samples)
+    for points in square:  # the order of a kind's samples is free: what neighbours look at in one turn lies in one part of the light
+        columns = np.array_split(np.argsort(points[:, 0]), round(np.sqrt(samples)))
+        points[:] = points[np.concatenate([column[np.argsort(points[column, 1])] for column in columns])]
     return on_disc(square) if disc else 2 * square - 1
 
 
