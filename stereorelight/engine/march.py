@@ -35,7 +35,7 @@ LEAST_LOOKS, MOST_LOOKS = 4, 12  # and so many looks
 ROUNDING = f4(1e-6)  # of inverse depth, for the ends of a way against the looks between them
 # numba's disk cache knows a kernel by the text of its own file alone, so this file must change whenever these do;
 # tests/test_light_layers.py holds them together.
-LEAVES = "469266ccd60c512c"  # march_rays.py
+LEAVES = "b82021a1fc4c144b"  # march_rays.py
 TOPS = "92031a7ea538403e"  # march_tops.py
 OPEN, UNSEEN = 0.0, -1.0  # in the grid: nothing there however far; nobody knows
 
@@ -194,10 +194,11 @@ def _rows(
     """Rows first..end; P, N are (H, 3 W); grid is flat with a border of one cell, `columns` wide; cx, cy hold the border and half a pixel."""
     W = N.shape[1] // 3
     T = np.empty((29, STRIP + 16), np.float32)
-    oa, ob = T[27], T[28]
     px, py, pz, nx, ny, nz, sx, sy, sz, lx, ly, lz = T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9], T[10], T[11]
     far, weight, u, v, k, du, dv, dk, pixels, lost, hidden = T[12], T[13], T[14], T[15], T[16], T[17], T[18], T[19], T[20], T[21], T[22]
-    found, going, above, crossed = T[23], T[24], T[25], T[26]
+    found, going, above, crossed, oa, ob = T[23], T[24], T[25], T[26], T[27], T[28]
+    M = np.empty((9, STRIP + 16), np.float32)
+    mx, my, mz, ax, ay, az, bx, by, bz = M[0], M[1], M[2], M[3], M[4], M[5], M[6], M[7], M[8]
     sums = np.empty((3, STRIP + 16), np.float32)
     shone, doubt, total = sums[0], sums[1], sums[2]
     samples = offsets.shape[1]
@@ -205,29 +206,29 @@ def _rows(
     width = f4(columns - 1) - f4(0.001)
     height = f4(grid.shape[0] // columns - 1) - f4(0.001)
     for y in range(first, end):
+        kind = (y & 3) * 4  # a strip begins at a multiple of four
         for x in range(0, W, STRIP):
             n = min(STRIP, W - x)
             leaf.split(n, P[y, 3 * x : 3 * (x + n)], N[y, 3 * x : 3 * (x + n)], lift[y, x : x + n], px, py, pz, nx, ny, nz)
+            leaf.starts(n, fx, fy, cx, cy, width, height, px, py, pz, nx, ny, nz, lift[y, x : x + n], half[y, x : x + n], sx, sy, sz, u, v, k)
+            leaf.idle(n, (n + BLOCK - 1) // BLOCK * BLOCK, u, v, k, du, dv, dk, going)
+            if not straight:
+                leaf.shown(n, q, sx, sy, sz, mx, my, mz, ax, ay, az, bx, by, bz)
             sums[:] = f4(0)
-            halves = half[y, x : x + n]
             for sample in range(samples):
                 if straight:
-                    turned = q[TURNED]
-                    leaf.straight(n, q[0], q[1], q[2], q[3], turned, px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
+                    leaf.straight(n, q, nx, ny, nz, sx, sy, sz, lx, ly, lz, far, weight)
                 else:
-                    first_kind = (y & 3) * 4  # a strip begins at a multiple of four
-                    for i in range(n):
-                        oa[i] = offsets[first_kind + (i & 3), sample, 0]
-                        ob[i] = offsets[first_kind + (i & 3), sample, 1]
-                    leaf.targets(n, oa, ob, q, px, py, pz, nx, ny, nz, lift[y, x : x + n], sx, sy, sz, lx, ly, lz, far, weight)
+                    for i in range(0, n, 4):
+                        for j in range(4):
+                            oa[i + j] = offsets[kind + j, sample, 0]
+                            ob[i + j] = offsets[kind + j, sample, 1]
+                    leaf.targets(n, oa, ob, q, nx, ny, nz, mx, my, mz, ax, ay, az, bx, by, bz, lx, ly, lz, far, weight)
                 if partly:
                     wanted = asked[y, x : x + n]
                     for i in range(n):
                         weight[i] = weight[i] if wanted[i] > f4(0) else f4(0)
-                leaf.rays(
-                    n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, halves, weight, u, v, k, du, dv, dk, pixels, lost, going
-                )
-                leaf.idle(n, (n + BLOCK - 1) // BLOCK * BLOCK, u, v, k, du, dv, dk, going)
+                leaf.rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, weight, u, v, du, dv, dk, pixels, lost, going)
                 for place in range(0, n, BLOCK):
                     b = np.uintp(place)
                     _go(

@@ -15,86 +15,114 @@ FAINT = 1e-6  # what a sample counts for that N turns away from, by less than N 
 
 
 @kernel(noalias=True)
-def targets(n, oa, ob, q, px, py, pz, nx, ny, nz, lift, sx, sy, sz, lx, ly, lz, far, weight):
-    """Where the rays start, the unit way to the light's sample, how far it is, and how much it counts for.
+def starts(n, fx, fy, cx, cy, width, height, px, py, pz, nx, ny, nz, lift, half, sx, sy, sz, u, v, k):
+    """Where the rays start, in the camera frame (y down, z forward), and in the picture."""
+    for i in range(n):
+        x = px[i] + nx[i] * lift[i]
+        y = -(py[i] + ny[i] * lift[i])
+        z = -(pz[i] + nz[i] * lift[i])
+        z = z if z > f4(1e-6) else f4(1e-6)
+        k0 = f4(1) / z
+        u0 = x * k0 * fx + cx
+        v0 = y * k0 * fy + cy
+        # A start that was lifted over the border of the grid stays on it: nothing may be looked up beyond.
+        u0 = u0 if u0 > f4(1.001) else f4(1.001)
+        u0 = u0 if u0 < width else width
+        v0 = v0 if v0 > f4(1.001) else f4(1.001)
+        v0 = v0 if v0 < height else height
+        sx[i] = x
+        sy[i] = y
+        sz[i] = z
+        u[i] = u0
+        v[i] = v0
+        k[i] = k0 + half[i]
+
+
+@kernel(noalias=True)
+def shown(n, q, sx, sy, sz, mx, my, mz, ax, ay, az, bx, by, bz):
+    """What each start sees of a light with a size, in the camera frame: its sample at (a, b) lies at m + a * (ax, ay, az) + b * (bx, by, bz)
+    from there."""
+    for i in range(n):
+        x = q[0] - q[3] * sx[i]
+        y = -q[1] - q[3] * sy[i]
+        z = -q[2] - q[3] * sz[i]
+        # A ball shows the disc on which its tangents touch it, square to the way to it.
+        r = f4(1) / math.sqrt(x * x + y * y + z * z + f4(1e-12))
+        sine = q[13] * r
+        inside = sine >= f4(1)
+        sine = f4(0) if inside else sine
+        size = f4(0) if inside else q[13] * math.sqrt(f4(1) - sine * sine)
+        wx = x * r
+        wy = -y * r
+        wz = -z * r
+        sign = f4(1) if wz >= f4(0) else f4(-1)
+        turn = f4(-1) / (sign + wz)
+        both = wx * wy * turn
+        back = q[13] * sine
+        mx[i] = x - back * wx
+        my[i] = y + back * wy
+        mz[i] = z + back * wz
+        ax[i] = q[4] + size * (f4(1) + sign * wx * wx * turn)
+        ay[i] = -q[5] - size * (sign * both)
+        az[i] = -q[6] + size * (sign * wx)
+        bx[i] = q[7] + size * both
+        by[i] = -q[8] - size * (sign + wy * wy * turn)
+        bz[i] = -q[9] + size * wy
+
+
+@kernel(noalias=True)
+def targets(n, oa, ob, q, nx, ny, nz, mx, my, mz, ax, ay, az, bx, by, bz, lx, ly, lz, far, weight):
+    """The unit way to the light's sample, how far it is, and how much it counts for.
 
     By its cosine; and by next to nothing where that is between q[15] and 0."""
     for i in range(n):
         a = oa[i]
         b = ob[i]
-        ox = px[i] + nx[i] * lift[i]
-        oy = py[i] + ny[i] * lift[i]
-        oz = pz[i] + nz[i] * lift[i]
-        tx = q[0] - q[3] * ox
-        ty = q[1] - q[3] * oy
-        tz = q[2] - q[3] * oz
-        d2 = tx * tx + ty * ty + tz * tz
-        # A ball shows the disc on which its tangents touch it, square to the way to it.
-        r = f4(1) / math.sqrt(d2 + f4(1e-12))
-        sine = q[13] * r
-        inside = sine >= f4(1)
-        sine = f4(0) if inside else sine
-        size = f4(0) if inside else q[13] * math.sqrt(f4(1) - sine * sine)
-        wx = tx * r
-        wy = ty * r
-        wz = tz * r
-        sign = f4(1) if wz >= f4(0) else f4(-1)
-        k = f4(-1) / (sign + wz)
-        m = wx * wy * k
-        back = q[13] * sine
-        a_ = a * size
-        b_ = b * size
-        tx += a * q[4] + b * q[7] + a_ * (f4(1) + sign * wx * wx * k) + b_ * m - back * wx
-        ty += a * q[5] + b * q[8] + a_ * (sign * m) + b_ * (sign + wy * wy * k) - back * wy
-        tz += a * q[6] + b * q[9] - a_ * (sign * wx) - b_ * wy - back * wz
-        d2 = tx * tx + ty * ty + tz * tz
-        r = f4(1) / math.sqrt(d2 + f4(1e-12))
-        tx *= r
-        ty *= r
-        tz *= r
-        front = nx[i] * tx + ny[i] * ty + nz[i] * tz
-        shining = -(tx * q[10] + ty * q[11] + tz * q[12]) * r * r
+        x = mx[i] + a * ax[i] + b * bx[i]
+        y = my[i] + a * ay[i] + b * by[i]
+        z = mz[i] + a * az[i] + b * bz[i]
+        d2 = x * x + y * y + z * z + f4(1e-12)
+        r = f4(1) / math.sqrt(d2)
+        x *= r
+        y *= r
+        z *= r
+        front = nx[i] * x - ny[i] * y - nz[i] * z
+        shining = (y * q[11] + z * q[12] - x * q[10]) * r * r
         shining = shining if shining > f4(0) else f4(0)
-        shown = shining if q[14] > f4(0) else f4(1)
-        w = front * shown
-        least = f4(FAINT) * shown if front > q[15] else f4(0)
-        sx[i] = ox
-        sy[i] = -oy
-        sz[i] = -oz if oz < f4(-1e-6) else f4(1e-6)
-        lx[i] = tx
-        ly[i] = -ty
-        lz[i] = -tz
-        far[i] = f4(1) / r if q[3] > f4(0) else f4(1e9)
+        shows = shining if q[14] > f4(0) else f4(1)
+        w = front * shows
+        least = f4(FAINT) * shows if front > q[15] else f4(0)
+        lx[i] = x
+        ly[i] = y
+        lz[i] = z
+        far[i] = d2 * r if q[3] > f4(0) else f4(1e9)
         weight[i] = w if w > least else least
 
 
 @kernel(noalias=True)
-def straight(n, lx_, ly_, lz_, w, turned, px, py, pz, nx, ny, nz, lift, sx, sy, sz, lx, ly, lz, far, weight):
+def straight(n, q, nx, ny, nz, sx, sy, sz, lx, ly, lz, far, weight):
     """`targets` of a light without a size."""
     for i in range(n):
-        ox = px[i] + nx[i] * lift[i]
-        oy = py[i] + ny[i] * lift[i]
-        oz = pz[i] + nz[i] * lift[i]
-        tx = lx_ - w * ox
-        ty = ly_ - w * oy
-        tz = lz_ - w * oz
-        d2 = tx * tx + ty * ty + tz * tz + f4(1e-12)
+        x = q[0] - q[3] * sx[i]
+        y = -q[1] - q[3] * sy[i]
+        z = -q[2] - q[3] * sz[i]
+        d2 = x * x + y * y + z * z + f4(1e-12)
         r = f4(1) / math.sqrt(d2)
-        front = (nx[i] * tx + ny[i] * ty + nz[i] * tz) * r
-        sx[i] = ox
-        sy[i] = -oy
-        sz[i] = -oz if oz < f4(-1e-6) else f4(1e-6)
-        lx[i] = tx * r
-        ly[i] = -ty * r
-        lz[i] = -tz * r
-        far[i] = d2 * r if w > f4(0) else f4(1e9)
-        least = f4(FAINT) if front > turned else f4(0)
+        x *= r
+        y *= r
+        z *= r
+        front = nx[i] * x - ny[i] * y - nz[i] * z
+        least = f4(FAINT) if front > q[15] else f4(0)
+        lx[i] = x
+        ly[i] = y
+        lz[i] = z
+        far[i] = d2 * r if q[3] > f4(0) else f4(1e9)
         weight[i] = front if front > least else least
 
 
 @kernel(noalias=True)
-def rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, half, weight, u, v, k, du, dv, dk, pixels, lost, lit):
-    """The rays in the picture: start and whole extent in pixels and inverse depth, cut where they leave the frame or are nearer than `near`.
+def rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, weight, u, v, du, dv, dk, pixels, lost, lit):
+    """The rays in the picture: whole extent in pixels and inverse depth, cut where they leave the frame or are nearer than `near`.
 
     pixels : how many the ray passes, along rows and columns together."""
     for i in range(n):
@@ -106,21 +134,13 @@ def rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, ha
         most = most if most > f4(0) else f4(0)
         most = most if c < f4(0) else f4(1e9)
         t = most if most < t else t
-        k0 = f4(1) / z
-        u0 = sx[i] * k0 * fx + cx
-        v0 = sy[i] * k0 * fy + cy
-        # A start that was lifted over the border of the grid stays on it: nothing may be looked up beyond.
-        u0 = u0 if u0 > f4(1.001) else f4(1.001)
-        u0 = u0 if u0 < width else width
-        v0 = v0 if v0 > f4(1.001) else f4(1.001)
-        v0 = v0 if v0 < height else height
         k1 = f4(1) / (z + c * t)
-        a = (sx[i] + lx[i] * t) * k1 * fx + cx - u0
-        b = (sy[i] + ly[i] * t) * k1 * fy + cy - v0
-        e = k1 - k0
+        a = (sx[i] + lx[i] * t) * k1 * fx + cx - u[i]
+        b = (sy[i] + ly[i] * t) * k1 * fy + cy - v[i]
+        e = k1 - f4(1) / z
         # The share of the ray that lies in the frame.
-        room_u = (width - u0) if a > f4(0) else u0 - f4(1.001)
-        room_v = (height - v0) if b > f4(0) else v0 - f4(1.001)
+        room_u = (width - u[i]) if a > f4(0) else u[i] - f4(1.001)
+        room_v = (height - v[i]) if b > f4(0) else v[i] - f4(1.001)
         room_u = room_u if room_u > f4(0) else f4(0)
         room_v = room_v if room_v > f4(0) else f4(0)
         abs_u = abs(a) + f4(1e-9)
@@ -129,18 +149,12 @@ def rays(n, fx, fy, cx, cy, width, height, near, sx, sy, sz, lx, ly, lz, far, ha
         other = room_v / abs_v
         share = other if other < share else share
         share = share if share < f4(1) else f4(1)
-        a *= share
-        b *= share
-        e *= share
         good = weight[i] > f4(0)
-        a = a if good else f4(0)
-        b = b if good else f4(0)
-        u[i] = u0 if good else f4(1.5)
-        v[i] = v0 if good else f4(1.5)
-        k[i] = k0 + half[i]
+        a = a * share if good else f4(0)
+        b = b * share if good else f4(0)
         du[i] = a
         dv[i] = b
-        dk[i] = e if good else f4(0)
+        dk[i] = e * share if good else f4(0)
         pixels[i] = abs(a) + abs(b)
         lost[i] = f4(1) if (share < f4(1)) & good else f4(0)
         lit[i] = f4(1) if good else f4(0)
