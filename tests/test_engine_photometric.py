@@ -139,6 +139,19 @@ def test_noise_alone_pulls_nowhere() -> None:
         assert weight.mean() < 0.1 * float((rate * rate / noise2).mean())  # and says hardly anything
 
 
+def test_a_floor_of_noise_draws_nowhere() -> None:
+    """Clean, soft pictures under a floor of noise: only grain draws to half pixels, and here is none to be taken off."""
+    left, right = (128 + (p - 128) / 20 for p in pair(5.2))
+    d = full(5.2)
+    residual, rate = spline_residual(left, row_splines(left), row_splines(right), d)
+    off = {}
+    for grain2 in (0.0, np.inf):
+        weight, pull = photometric_evidence(d, residual, rate, full(0.5), full(1e6), full(1), grain2=grain2)
+        off[grain2] = abs(float(pull[INSIDE].sum() / weight[INSIDE].sum()))
+    assert off[0.0] < 0.002
+    assert off[np.inf] > 0.1
+
+
 def test_rows_end_in_their_last_pixel() -> None:
     """Beyond the row the border is repeated: no pixel reads another row's grey."""
     left = np.arange(4 * 9, dtype=f4).reshape(4, 9)

@@ -28,9 +28,9 @@ def test_held_evidence_is_evidence_by_local_noise_and_a_prior(size: tuple[int, i
     d, matched = (rng.uniform(0, 5, size).astype(f4) for _ in range(2))
     residual, rate = (rng.normal(0, 3, size).astype(f4) for _ in range(2))
     trust = rng.choice([0.02, 0.1, 1.0], size).astype(f4)
-    got = held_evidence(d, residual, rate, trust, matched, most2=20.0, floor2=0.5, unseen=0.02, priors=(0.001, 0.03))
+    got = held_evidence(d, residual, rate, trust, matched, most2=20.0, floor2=0.5, grain2=2.0, unseen=0.02, priors=(0.001, 0.03))
     noise2 = np.maximum(cv2.blur(np.minimum(residual**2, f4(20)), (9, 9)), f4(0.5))
-    weight, pull = photometric_evidence(d, residual, rate, noise2, cv2.blur(rate * rate, (9, 9)), trust)
+    weight, pull = photometric_evidence(d, residual, rate, noise2, cv2.blur(rate * rate, (9, 9)), trust, grain2=2.0)
     prior = np.where(trust <= f4(0.02), f4(0.001), f4(0.03))
     for mine, theirs in zip(got, (weight + prior, pull + prior * (matched - d))):
         assert np.abs(mine - theirs).max() < 1e-4 * np.abs(theirs).max()

@@ -16,6 +16,7 @@ from stereorelight.stereo.match import search_range
 from stereorelight.stereo.proxy import matching_proxy
 from stereorelight.stereo.rectify import Rectification, rectification
 from stereorelight.stereo.settings import DepthSettings
+from stereorelight.synth.dials import softened
 from stereorelight.synth.render import Shot, render
 from stereorelight.synth.rigs import rig_named
 from stereorelight.synth.scenes import scene_named
@@ -31,10 +32,11 @@ def shot(scene: str, rig: str, size=SIZE, samples=2) -> tuple[Shot, Rectificatio
     return render(scene_named(scene), r, samples=samples), rectification(r)
 
 
-def plates(made: Shot, rectified: Rectification, *, quantised: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """As from files: 8 bits of sRGB's curve (or none at all), mirrored as recorded, then upright."""
+def plates(made: Shot, rectified: Rectification, *, quantised: bool = True, soft_px: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """As from files: out of focus by so much, 8 bits of sRGB's curve (or none at all), mirrored as recorded, then upright."""
 
     def filed(picture: np.ndarray) -> np.ndarray:
+        picture = softened(picture, soft_px).astype(np.float32) if soft_px else picture
         if not quantised:
             return picture
         code = (
@@ -250,17 +252,19 @@ def test_a_hard_rig_costs_less_than_a_quarter() -> None:
     """Toed in, distorted, unequal, offset and mirrored, against a perfect rig, on the original plate.
 
     From plates without a last bit of noise the perfect rig, which resamples nothing, gains more than the hard one: there a
-    quarter is not reached (docs/figures.md), and the bounds, metres, only keep what is.
+    quarter is not reached (docs/figures.md), and the bounds, metres, only keep what is.  Soft focus takes texture away, and no
+    more than that: what no grain accounts for draws a match nowhere.
     """
     medians = {}
     for name in ("parallel", "hard"):
         made, rectified = shot("bust", name, size=(640, 360), samples=3)
         seen = made.left["flags"] == 0
-        for quantised in (True, False):
-            got = recover(*plates(made, rectified, quantised=quantised), rectified).frame
+        for quantised, soft_px in ((True, 0.0), (False, 0.0), (True, 0.7)):
+            got = recover(*plates(made, rectified, quantised=quantised, soft_px=soft_px), rectified).frame
             assert np.isfinite(got["Z"]).all()
-            medians[name, quantised] = np.median(np.abs(got["Z"] - made.left["Z"])[seen])
-    assert medians["parallel", True] < 0.0025
-    assert medians["hard", True] <= 1.25 * medians["parallel", True]
-    assert medians["parallel", False] < 0.0013
-    assert medians["hard", False] < 0.0021
+            medians[name, quantised, soft_px] = np.median(np.abs(got["Z"] - made.left["Z"])[seen])
+    assert medians["parallel", True, 0.0] < 0.0018
+    assert medians["hard", True, 0.0] <= 1.25 * medians["parallel", True, 0.0]
+    assert medians["parallel", False, 0.0] < 0.0008
+    assert medians["hard", False, 0.0] < 0.0014
+    assert medians["hard", True, 0.7] <= 1.25 * medians["parallel", True, 0.7] < 0.0028

@@ -10,8 +10,8 @@ import pytest
 from stereorelight.compare.motorcycle import motorcycle
 from stereorelight.compare.normals import angle_deg
 from stereorelight.shot.pairs import MATCH_NOISE_PX
-from stereorelight.stereo.confidence import grain_of
 from stereorelight.stereo.depth import recover
+from stereorelight.stereo.proxy import grain_of
 from stereorelight.stereo.rectify import rectification
 from stereorelight.stereo.refine import clumped
 from stereorelight.surface.normals import normals_and_sigma, normals_from_depth

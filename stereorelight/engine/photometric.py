@@ -52,12 +52,13 @@ POLE = np.float32(np.sqrt(3.0) - 2.0)  # of the cubic spline's recursive filter 
 FRACTIONS = 1024  # steps of the tables below
 
 
-def _cardinal_tables() -> tuple[Float32, Float32]:
+def _cardinal_tables() -> tuple[Float32, Float32, Float32]:
     """What interpolation does to white noise of variance one, by fraction of a pixel, (FRACTIONS + 1,) each.
 
-    pull : half the covariance of an interpolated value and its slope, over the variance of (pixel minus value): noise is least
-           half way between pixels, so that is where noise draws a match to (pixel locking).
-    rate : variance of the mean of both eyes' slopes, over the same.
+    pull  : half the covariance of an interpolated value and its slope, over `noise`: noise is least half way between pixels, so that is
+            where noise draws a match to (pixel locking).
+    rate  : variance of the mean of both eyes' slopes, over `noise`.
+    noise : variance of (pixel minus value).
     """
     n = 41
     basis = np.eye(n)[n // 2] * 6.0
@@ -73,10 +74,10 @@ def _cardinal_tables() -> tuple[Float32, Float32]:
     noise = 1 + (weights**2).sum(axis=0)
     covariance = (weights * slopes).sum(axis=0)
     steep = (slopes**2).sum(axis=0)
-    return (0.5 * covariance / noise).astype(np.float32), (0.25 * (steep + steep[0]) / noise).astype(np.float32)
+    return (0.5 * covariance / noise).astype(np.float32), (0.25 * (steep + steep[0]) / noise).astype(np.float32), noise.astype(np.float32)
 
 
-LOCKING, STEEPNESS = _cardinal_tables()
+LOCKING, STEEPNESS, NOISE = _cardinal_tables()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -153,38 +154,38 @@ def spline_residual(left: Float32, left_spline: Float32, right_spline: Float32, 
 
 
 @_leaf
-def _evidence_row(disparity, residual, rate, noise2, rate2, trust, locking, steepness, weight, pull):
+def _evidence_row(disparity, residual, rate, left2, floor2, rate2, trust, grain2, locking, steepness, noise, weight, pull):
     for x in range(disparity.size):
         u = f4(x) - disparity[x]
         t = i4((u - np.floor(u)) * f4(FRACTIONS))
-        e, g, n2 = residual[x], rate[x], noise2[x]
+        e, g, n2 = residual[x], rate[x], max(left2[x], floor2)
         k = f4(1) / (f4(1) + e * e / (f4(9) * n2))
         k *= k
         # Of the squared slope, this share is texture; the rest is noise and says nothing.
         real = f4(1) - n2 * steepness[t] / max(rate2[x], f4(1e-6))
         real = min(max(real, f4(0.03)), f4(1))
         k *= trust[x] * real
+        # Only grain, new in every pixel, draws to half pixels: no floor of the noise does, and nothing else that the eyes differ by.
+        white = min(grain2 * noise[t], left2[x]) / n2
         weight[x] = g * g / n2 * k * real
-        pull[x] = (g * e / n2 - (locking[t] if g != f4(0) else f4(0))) * k
+        pull[x] = (g * e / n2 - (locking[t] * white if g != f4(0) else f4(0))) * k
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _evidence(first, end, disparity, residual, rate, noise2, rate2, trust, locking, steepness, weight, pull):
+def _evidence(first, end, disparity, residual, rate, noise2, rate2, trust, grain2, locking, steepness, noise, weight, pull):
     for y in range(first, end):
-        _evidence_row(disparity[y], residual[y], rate[y], noise2[y], rate2[y], trust[y], locking, steepness, weight[y], pull[y])
+        _evidence_row(disparity[y], residual[y], rate[y], noise2[y], f4(0), rate2[y], trust[y], grain2, locking, steepness, noise, weight[y], pull[y])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _held(first, end, disparity, residual, rate, trust, matched, tuning, locking, steepness, weight, pull):
-    usual9, floor2, unseen, prior_unseen, prior_seen = tuning
+def _held(first, end, disparity, residual, rate, trust, matched, tuning, locking, steepness, noise, weight, pull):
+    usual9, floor2, grain2, unseen, prior_unseen, prior_seen = tuning
     W = disparity.shape[1]
     wide, noise2, rate2 = np.empty(W + 8, np.float32), np.empty(W, np.float32), np.empty(W, np.float32)
     for y in range(first, end):
         row_mean_square_9(residual, y, usual9, wide, noise2)
         row_mean_square_9(rate, y, f4(np.inf), wide, rate2)
-        for x in range(W):
-            noise2[x] = max(noise2[x], floor2)
-        _evidence_row(disparity[y], residual[y], rate[y], noise2, rate2, trust[y], locking, steepness, weight[y], pull[y])
+        _evidence_row(disparity[y], residual[y], rate[y], noise2, floor2, rate2, trust[y], grain2, locking, steepness, noise, weight[y], pull[y])
         for x in range(W):
             prior = prior_unseen if trust[y, x] <= unseen else prior_seen
             weight[y, x] += prior
@@ -192,17 +193,18 @@ def _held(first, end, disparity, residual, rate, trust, matched, tuning, locking
 
 
 def photometric_evidence(
-    disparity: Float32, residual: Float32, rate: Float32, noise2: Float32, rate2: Float32, trust: Float32
+    disparity: Float32, residual: Float32, rate: Float32, noise2: Float32, rate2: Float32, trust: Float32, *, grain2: float = np.inf
 ) -> tuple[Float32, Float32]:
     """What each pixel's brightness says of its disparity: weight (inverse variance, 1/px^2) and weight times (asked - had).
 
     residual, rate : as `spline_residual` gives them, less their local means: a difference of exposure is no disparity.
     noise2, rate2  : (H, W) local mean squares of both, grey levels squared; noise2 > 0.   trust : (H, W) 0..1.
-    A residual three times the local noise counts a quarter.  What noise alone adds to the slope, and the pull of noise towards
+    grain2         : variance of either picture's white grain, grey levels squared; all of the noise is, where that is no less.
+    A residual three times the local noise counts a quarter.  What noise alone adds to the slope, and the pull of grain towards
     half pixels, are taken off.
     """
     weight, pull = np.empty_like(disparity), np.empty_like(disparity)
-    given = (disparity, residual, rate, noise2, rate2, trust, LOCKING, STEEPNESS, weight, pull)
+    given = (disparity, residual, rate, noise2, rate2, trust, f4(grain2), LOCKING, STEEPNESS, NOISE, weight, pull)
     in_row_blocks(lambda first, end: _evidence(first, end, *given), disparity.shape[0])
     return weight, pull
 
@@ -216,17 +218,19 @@ def held_evidence(
     *,
     most2: float,
     floor2: float,
+    grain2: float,
     unseen: float,
     priors: tuple[float, float],
 ) -> tuple[Float32, Float32]:
     """`photometric_evidence`, with the noise of the pictures measured over 9 x 9, held to a disparity that was `matched`.
 
     most2, floor2 : grey levels squared; a square that counts no more than that for the noise, and what the noise is at least.
+    grain2        : variance of either picture's white grain, grey levels squared.
     priors        : weight of the matched disparity, 1/px^2, where `trust` is `unseen` or less, and elsewhere.
     """
     weight, pull = np.empty_like(disparity), np.empty_like(disparity)
-    tuning = tuple(f4(a) for a in (most2, floor2, unseen, *priors))
-    given = (disparity, residual, rate, trust, matched, tuning, LOCKING, STEEPNESS, weight, pull)
+    tuning = tuple(f4(a) for a in (most2, floor2, grain2, unseen, *priors))
+    given = (disparity, residual, rate, trust, matched, tuning, LOCKING, STEEPNESS, NOISE, weight, pull)
     in_row_blocks(lambda first, end: _held(first, end, *given), disparity.shape[0])
     return weight, pull
 

@@ -18,7 +18,7 @@ from stereorelight.arrays import Bool, Float32, UInt16
 from stereorelight.engine.photometric import believed, brightness_residual
 from stereorelight.engine.rows import at_once, in_row_blocks
 from stereorelight.passes import Flag
-from stereorelight.stereo.proxy import Proxy
+from stereorelight.stereo.proxy import Proxy, grain_of
 from stereorelight.stereo.refine import Refined
 
 EVIDENCE = (
@@ -63,17 +63,6 @@ class Evidence:
     spread: Float32
     sigma: Float32
     clumped: Float32
-
-
-def grain_of(grey: Float32) -> float:
-    """Standard deviation of the noise of a grey picture, grey levels: the median of a mask that knows no ramps (Immerkaer 1996), on a
-    sixteenth of the pixels."""
-    h, w = grey.shape
-    twist = np.zeros((len(range(0, h - 2, 4)), len(range(0, w - 2, 4))), np.float32)
-    for y, row in enumerate(((1, -2, 1), (-2, 4, -2), (1, -2, 1))):
-        for x, share in enumerate(row):
-            twist += np.float32(share) * grey[y : h - 2 + y : 4, x : w - 2 + x : 4]
-    return float(np.median(np.abs(twist))) / (0.6745 * 6) if twist.size else 0.0
 
 
 def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | None) -> Evidence:

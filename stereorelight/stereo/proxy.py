@@ -37,6 +37,17 @@ def grey_of(picture: UInt8) -> Float32:
     return cv2.transform(picture, np.full((1, 3), 1 / 3)).astype(np.float32) if picture.ndim == 3 else picture.astype(np.float32)
 
 
+def grain_of(grey: Float32) -> float:
+    """Standard deviation of the noise of a grey picture, grey levels: the median of a mask that knows no ramps (Immerkaer 1996), on a
+    sixteenth of the pixels."""
+    h, w = grey.shape
+    twist = np.zeros((len(range(0, h - 2, 4)), len(range(0, w - 2, 4))), np.float32)
+    for y, row in enumerate(((1, -2, 1), (-2, 4, -2), (1, -2, 1))):
+        for x, share in enumerate(row):
+            twist += np.float32(share) * grey[y : h - 2 + y : 4, x : w - 2 + x : 4]
+    return float(np.median(np.abs(twist))) / (0.6745 * 6) if twist.size else 0.0
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proxy:
     """Left and right as matchers want them: (H, W, 3) uint8 BGR, (H, W) float32 grey 0..255, and known pixels."""

@@ -27,7 +27,7 @@ from stereorelight.engine.refine import blended, robust_planes
 from stereorelight.engine.rows import at_once
 from stereorelight.engine.windows import less_local_means
 from stereorelight.stereo.hints import on_matte_edge
-from stereorelight.stereo.proxy import Proxy
+from stereorelight.stereo.proxy import Proxy, grain_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -207,6 +207,7 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
 
     trust : (H, W) 0..1, weighs the evidence; nothing is asked of the right eye where it is `UNSEEN_TRUST` or less.
     """
+    grain2 = 0.5 * (grain_of(proxy.left_grey) ** 2 + grain_of(proxy.right_grey) ** 2)
     left_spline, right_spline = row_splines(proxy.left_grey), row_splines(proxy.right_grey)
 
     def evidence(d: Float32) -> tuple[Float32, Float32, Float32]:
@@ -214,9 +215,8 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
         residual, rate = less_local_means(*spline_residual(proxy.left_grey, left_spline, right_spline, d), trust, least=UNSEEN_TRUST)
         few = residual[::4, ::4]
         usual = 2.2 * float(np.median(few * few)) + NOISE_FLOOR**2
-        weight, pull = held_evidence(
-            d, residual, rate, trust, disparity, most2=9 * usual, floor2=NOISE_FLOOR**2, unseen=UNSEEN_TRUST, priors=(UNSEEN_PRIOR, PRIOR)
-        )
+        tuning = {"most2": 9 * usual, "floor2": NOISE_FLOOR**2, "grain2": grain2, "unseen": UNSEEN_TRUST}
+        weight, pull = held_evidence(d, residual, rate, trust, disparity, **tuning, priors=(UNSEEN_PRIOR, PRIOR))
         return weight, pull, _mean_weight(weight)
 
     d = disparity
