@@ -379,6 +379,26 @@ def test_plain_and_other_lights_add_up_in_one_picture() -> None:
                 np.testing.assert_allclose(layer, layers[name], rtol=1e-5, atol=FLOAT * layer.max())
 
 
+def test_other_lights_alone_make_the_picture_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plate is not gone over by the other kernel first; what is NaN in it stays NaN, what is not lit stays the plate."""
+
+    def never(*args: object) -> None:
+        raise AssertionError("the kernel of plain lights was asked")
+
+    monkeypatch.setattr(engine.plain, "plain_lights", never)
+    camera = camera_of(21, 70)
+    _, N, plate = scene(9, 21, 70)
+    Z = np.random.default_rng(1).uniform(1, 5, camera.size_hw).astype(np.float32)
+    Z[4], plate[7] = np.nan, np.nan
+    light = PointLight(name="g", position_m=(1, 0, 0), model="ggx", specular=1)
+    for own in (None, plate[::-1].copy()):
+        beauty, layers = relight_with_layers(plate, Z, N, camera, [light], plate_gain=0.5, albedo=own)
+        np.testing.assert_allclose(beauty, comp.relight(plate, layers, plate_gain=0.5), rtol=1e-6)
+        np.testing.assert_array_equal(beauty[4], plate[4] * np.float32(0.5))
+        assert np.isnan(beauty[7]).all()
+        assert (beauty[8] > plate[8] * np.float32(0.5)).any()
+
+
 def test_fused_without_lights_is_the_plate_bit_for_bit() -> None:
     camera = camera_of(H, W)
     P, N, plate = scene(3)

@@ -83,15 +83,15 @@ def shade(
             room.rows = np.empty((other.ROWS if len(other_rows) else plain.ROWS, STRIP + PADDING), np.float32)
             room.at = np.empty(STRIP + PADDING, np.int64)
             room.pane = np.empty(3 * STRIP, np.float32)
-        if len(plain_rows) or beauty is not None:
+        if len(plain_rows) or not len(other_rows):
             plain.plain_lights(
                 room.rows, room.pane, streams, first, end, *where, plain_rows, plain_slots, mattes, flat_layers, flat_plate, gains, flat_beauty,
                 beauty is not None, albedo is plate,
             )  # fmt: skip
         if len(other_rows):
             other.other_lights(
-                room.rows, room.at, room.pane, streams, first, end, *where, other_rows, other_slots, mattes, tables, flat_layers, flat_beauty,
-                beauty is not None,
+                room.rows, room.at, room.pane, streams, first, end, *where, other_rows, other_slots, mattes, tables, flat_layers, flat_plate, gains,
+                flat_beauty, beauty is not None, len(plain_rows) > 0,
             )  # fmt: skip
 
     # No pixel knows of its block, so there may be fewer where fewer threads ask for them: each costs 20 microseconds.

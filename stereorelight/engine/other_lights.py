@@ -1,6 +1,7 @@
 """The kernel of the lights that plain_lights.py leaves out: with a size, on GGX, on materials, with rims.
 
-In, out, frame: as in light.py.  Strips and leaf loops as in plain_lights.py; what it adds goes on top of the picture that is there."""
+In, out, frame: as in light.py.  Strips and leaf loops as in plain_lights.py.  What it adds goes on top of the picture where plain lights have made
+one, else it makes the picture itself: nothing goes over it twice."""
 
 from __future__ import annotations
 
@@ -62,11 +63,12 @@ ROWS = AREA_ROWS + lobe_rows.ROOM
 
 @kernel()
 def other_lights(
-    T, at, pane, streams, first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, glows, layers,
-    picture, onto_picture,
+    T, at, pane, streams, first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, glows, layers, plate, gain,
+    beauty, to_beauty, on_top,
 ):  # fmt: skip
-    """Rows first..end.  P, N, albedo, picture are (H, 3 W); rays (H, 2 W); layers (slots, H, 3 W); mattes (k, H, W).
+    """Rows first..end.  P, N, albedo, plate, beauty are (H, 3 W); rays (H, 2 W); layers (slots, H, 3 W); mattes (k, H, W).
 
+    on_top : beauty holds the plate with other lights on it already.
     T : (ROWS, STRIP + PADDING), room for one strip's rows;  at : (STRIP + PADDING,) whole numbers;  pane : (3 STRIP,), where a layer's row is
     made before it is streamed, where `streams`."""
     W = N.shape[1] // 3
@@ -140,7 +142,7 @@ def other_lights(
                         n, unit, q[0], q[1], q[2], q[3], q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE],
                         px, py, pz, nx, ny, nz, lit, e,
                     )  # fmt: skip
-                if onto_picture:
+                if to_beauty:
                     if dark:
                         leaf.put(n, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], dr, dg, db)
                     else:
@@ -171,17 +173,23 @@ def other_lights(
                     if slots[k, SPECULAR_SLOT] >= 0:
                         into = pane if streams else layers[slots[k, SPECULAR_SLOT], y, 3 * x : 3 * (x + m)]
                         area.add_specular(m, s, q[RIM], q[RIM + 1], q[RIM + 2], into)
-                    if onto_picture and dull:
+                    if to_beauty and dull:
                         leaf.put(n, s, q[RIM], q[RIM + 1], q[RIM + 2], sr, sg, sb)
                         dull = False
-                    elif onto_picture:
+                    elif to_beauty:
                         leaf.add(n, s, q[RIM], q[RIM + 1], q[RIM + 2], sr, sg, sb)
                 if streams and slots[k, SPECULAR_SLOT] >= 0:
                     stream(3 * m, pane, layers[slots[k, SPECULAR_SLOT], y, 3 * x : 3 * (x + m)])
-            if onto_picture and not (dark and dull):
-                if dull:
-                    leaf.put(n, known, f4(0), f4(0), f4(0), sr, sg, sb)
-                strip = slice(3 * x, 3 * (x + m))
-                leaf.add_to_picture(m, albedo[y, strip], dr, dg, db, sr, sg, sb, picture[y, strip])
+            if not to_beauty or (on_top and dark and dull):
+                continue
+            if dark:
+                leaf.put(n, known, f4(0), f4(0), f4(0), dr, dg, db)
+            if dull:
+                leaf.put(n, known, f4(0), f4(0), f4(0), sr, sg, sb)
+            strip = slice(3 * x, 3 * (x + m))
+            if on_top:
+                leaf.add_to_picture(m, albedo[y, strip], dr, dg, db, sr, sg, sb, beauty[y, strip])
+            else:
+                leaf.write_beauty(m, plate[y, strip], albedo[y, strip], gain[0], gain[1], gain[2], dr, dg, db, sr, sg, sb, beauty[y, strip])
     if streams:
         streamed()
