@@ -236,7 +236,7 @@ def held_evidence(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _believed(first, end, coefficients, floor2, flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, out):
+def _believed(first, end, coefficients, floor2, flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, out):
     W = spread.shape[1]
     scale = f4(1) / (f4(1) + floor2)
     for y in range(first, end):
@@ -250,6 +250,7 @@ def _believed(first, end, coefficients, floor2, flow_agrees, confirmed, flow_nea
             t += coefficients[5] * confirmed_nearby[y, x]
             t += coefficients[6] * flow_nearby[y, x]
             t += coefficients[9] * np.log(f4(1) + misfit[y, x])
+            t += coefficients[10] * alone[y, x]
             p = f4(1) / (f4(1) + np.exp(-t))
             out[y, x] = np.sqrt((p * p + floor2) * scale)
 
@@ -263,11 +264,12 @@ def believed(
     spread: Float32,
     sigma: Float32,
     misfit: Float32,
+    alone: Float32,
     *,
     floor: float,
 ) -> Float32:
     """The logistic weighing p of the evidence that stereo/confidence.py names, told as sqrt((p^2 + floor^2) / (1 + floor^2)); every array (H, W)."""
     out = np.empty_like(spread)
-    given = (coefficients, f4(floor * floor), flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, out)
+    given = (coefficients, f4(floor * floor), flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, out)
     in_row_blocks(lambda first, end: _believed(first, end, *given), spread.shape[0])
     return out

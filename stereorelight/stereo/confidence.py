@@ -32,8 +32,9 @@ EVIDENCE = (
     "edge nearby x confirmed nearby",
     "edge nearby x flow agrees nearby",
     "log misfit",
+    "eyes share nothing",
 )
-COEFFICIENTS = np.array([3.35, 0.92, 0.284, -0.325, -1.4, 1.417, 0.003, -2.565, -0.521, -0.29], dtype=np.float32)
+COEFFICIENTS = np.array([3.35, 0.92, 0.284, -0.325, -1.4, 1.417, 0.003, -2.565, -0.521, -0.29, -3.6], dtype=np.float32)
 FLOOR = 0.3  # ground of which nothing is known but what lies beside it is right that often
 # log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log of how far errors hang together.
 SIGMA_COEFFICIENTS = (0.866, 0.82, 0.618, 0.378)
@@ -42,6 +43,9 @@ WINDOW = (7, 7)
 CONFIRMED_NEARBY, FLOW_NEARBY = (9, 9), (15, 15)
 MISFIT = (5, 5)
 LEAST_GRAIN = 0.5  # grey levels
+SHARED = (5, 5)  # half-size px
+LEAST_SHOWN = 0.2  # of the grain's variance: less is as good as nothing to share
+ENOUGH_SHARED = 0.5  # correlation from which eyes count as showing the same
 USUALLY_CLUMPED, LEAST_CLUMPED = 0.5, 0.05
 
 
@@ -52,6 +56,7 @@ class Evidence:
     confirmed, flow_agrees               : 1 where the right eye, the flow say the same, else 0.
     confirmed_nearby, flow_agrees_nearby : the share of the pixels about it where they do.
     misfit  : variance of what is left between the eyes over 5 x 5, over that of the plates' grain; an even difference counts nothing.
+    alone   : 1 where the eyes share nothing of what they show round about, 0 where their correlation is `ENOUGH_SHARED` or more.
     spread  : range of disparity nearby, px.   sigma : the refinement's own, px.   clumped : `Refined`'s.
     """
 
@@ -60,9 +65,36 @@ class Evidence:
     confirmed_nearby: Float32
     flow_agrees_nearby: Float32
     misfit: Float32
+    alone: Float32
     spread: Float32
     sigma: Float32
     clumped: Float32
+
+
+def alone(left: Float32, right: Float32, grain: float) -> Float32:
+    """(H, W), 0..1: how far two pictures that should be one share nothing, grain averaged away: 1 - r / `ENOUGH_SHARED`, r their correlation.
+
+    Where grain outweighs texture, any surface is left with grain alone, and a wrong one is as smooth and as well confirmed as a right one; but
+    the little that is not grain is then not the same.
+    """
+    size = ((left.shape[1] + 1) // 2, (left.shape[0] + 1) // 2)
+    a, b = (cv2.blur(cv2.resize(eye, size, interpolation=cv2.INTER_AREA), (3, 3)) for eye in (left, right))
+    mean_a, mean_b = cv2.blur(a, SHARED), cv2.blur(b, SHARED)
+    both = cv2.blur(a * b, SHARED) - mean_a * mean_b + np.float32(LEAST_SHOWN * LEAST_GRAIN**2)  # clean ground with nothing to show is no doubt
+    least = np.float32(LEAST_SHOWN * grain * grain)
+    shown = [np.maximum(cv2.blur(eye * eye, SHARED) - mean * mean, 0) + least for eye, mean in ((a, mean_a), (b, mean_b))]
+    less = np.clip(1 - both / (np.float32(ENOUGH_SHARED) * np.sqrt(shown[0] * shown[1])), 0, 1)
+    return cv2.resize(less, (left.shape[1], left.shape[0]), interpolation=cv2.INTER_LINEAR)
+
+
+def _lands_on_plate(disparity: Float32, right_known: Bool) -> Bool:
+    """(H, W): what is seen there lies within the right eye's plate, where that is known."""
+    width = disparity.shape[1]
+    lands = np.floor(np.arange(width, dtype=np.float32) - disparity + 0.5)
+    within: Bool = (lands >= 0) & (lands < width)
+    if not right_known.all():
+        within &= np.take_along_axis(right_known, np.where(within, lands, 0).astype(np.intp), axis=1)
+    return within
 
 
 def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | None) -> Evidence:
@@ -77,19 +109,22 @@ def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | No
             agrees = sure if flow is None else (np.abs(flow - d) <= 1).astype(np.float32)
         return agrees, cv2.blur(sure, CONFIRMED_NEARBY), cv2.blur(agrees, FLOW_NEARBY), cv2.dilate(d, near) - cv2.erode(d, near)
 
-    def seen() -> Float32:
+    def seen() -> tuple[Float32, Float32]:
         mean = cv2.blur(residual, MISFIT)
         left_over = np.maximum(cv2.blur(residual * residual, MISFIT) - mean * mean, np.float32(0))
         grain = max(grain_of(proxy.left_grey), LEAST_GRAIN)
-        return left_over / np.float32(2 * grain * grain)
+        speaks = _lands_on_plate(d, proxy.right_known) & proxy.left_known & ~refined.unseen
+        other = np.where(speaks, proxy.left_grey - residual, proxy.left_grey)  # what one eye alone can see speaks neither way
+        return left_over / np.float32(2 * grain * grain), alone(proxy.left_grey, other, grain)
 
-    (agrees, confirmed_nearby, agrees_nearby, spread), misfit = at_once(said, seen)
+    (agrees, confirmed_nearby, agrees_nearby, spread), (misfit, lonely) = at_once(said, seen)
     return Evidence(
         confirmed=sure,
         flow_agrees=agrees,
         confirmed_nearby=confirmed_nearby,
         flow_agrees_nearby=agrees_nearby,
         misfit=misfit,
+        alone=lonely,
         spread=spread,
         sigma=refined.sigma_px,
         clumped=refined.clumped,
@@ -98,7 +133,8 @@ def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | No
 
 def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS) -> Float32:
     """(H, W) float32, 0..1: among pixels of confidence c a share of about c is within 1 px of truth."""
-    return believed(coefficients, e.confirmed, e.flow_agrees, e.confirmed_nearby, e.flow_agrees_nearby, e.spread, e.sigma, e.misfit, floor=FLOOR)
+    nearby = (e.confirmed_nearby, e.flow_agrees_nearby)
+    return believed(coefficients, e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, e.misfit, e.alone, floor=FLOOR)
 
 
 def sigma_from_evidence(e: Evidence, confidence: Float32) -> Float32:
@@ -123,12 +159,8 @@ def sigma_from_evidence(e: Evidence, confidence: Float32) -> Float32:
 
 def reasons(refined: Refined, confirmed: Bool, left_known: Bool, right_known: Bool) -> UInt16:
     """(H, W) uint16 of `Flag` bits: why a value is only a guess."""
-    height, width = refined.disparity.shape
-    lands = np.floor(np.arange(width, dtype=np.float32) - refined.disparity + 0.5)
-    seen = (lands >= 0) & (lands < width)
-    if not right_known.all():
-        seen &= np.take_along_axis(right_known, np.where(seen, lands, 0).astype(np.intp), axis=1)
-    flags = np.zeros((height, width), np.uint16)
+    seen = _lands_on_plate(refined.disparity, right_known)
+    flags = np.zeros(seen.shape, np.uint16)
     for reason, where in (
         (Flag.FILLED, ~confirmed),
         (Flag.OUT_OF_VIEW, ~seen),

@@ -2,8 +2,8 @@
 
 In: rectified scene-linear plates (H, W, 3), NaN outside the plate.  Out: a `Proxy`, BGR 8-bit as OpenCV has it, the same
 as float grey (0..255) for sub-pixel work, and where each plate is known.  Light is coded by its square root, which gives
-photon noise equal strength in light and shade.  The right eye is given the left eye's tones,
-channel by channel: different exposure or colour turns 3 % of wrong matches into 16-35 %."""
+photon noise equal strength in light and shade; where the plates' own grain is uneven so, by a curve that evens it (stereo/grain.py).
+The right eye is given the left eye's tones, channel by channel: different exposure or colour turns 3 % of wrong matches into 16-35 %."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from stereorelight.arrays import Bool, Float32, Float64, UInt8, UInt16
 from stereorelight.engine.rows import at_once
 from stereorelight.engine.tone import LEVELS, codes, levels, median_twist, through_tables
 from stereorelight.errors import PlateError
+from stereorelight.stereo.grain import even_tones, grain_by_tone
 
 Number = TypeVar("Number", np.float32, np.uint16)
 CALM = 2.0  # grey levels of noise that matching bears without a filter
@@ -139,9 +140,9 @@ def tone_tables(picture: UInt16, target: UInt16) -> Float32:
     return (np.stack(tables) * (255 / (LEVELS - 1))).astype(np.float32)
 
 
-def _straight() -> Float32:
-    """(3, LEVELS) tables that leave tones as they are."""
-    return np.ascontiguousarray(np.broadcast_to(np.linspace(0, 255, LEVELS, dtype=np.float32), (3, LEVELS)))
+def _of_three(curve: Float32) -> Float32:
+    """(3, LEVELS) tables of one curve."""
+    return np.ascontiguousarray(np.broadcast_to(curve, (3, LEVELS)))
 
 
 def picture_of(plate: Float32, eye: str) -> UInt8:
@@ -157,7 +158,15 @@ def matching_proxy(left: Float32, right: Float32) -> Proxy:
     (left_level, left_known), (right_level, right_known) = at_once(
         lambda: levels(left, white=_white(left, "left")), lambda: levels(right, white=_white(right, "right"))
     )
+    of_left, of_right = at_once(lambda: grain_by_tone(left_level), lambda: grain_by_tone(right_level))
+    curve = even_tones([one for one in (of_left, of_right) if one is not None], left_level, calm=CALM)
+    straight = np.linspace(0, 255, LEVELS, dtype=np.float32)
+
+    def in_tones_of_left() -> tuple[UInt8, Float32]:
+        tables = tone_tables(right_level, left_level)
+        return through_tables(right_level, tables if curve is None else np.interp(tables, straight, curve).astype(np.float32))
+
     (left_bgr, left_grey), (right_bgr, right_grey) = at_once(
-        lambda: through_tables(left_level, _straight()), lambda: through_tables(right_level, tone_tables(right_level, left_level))
+        lambda: through_tables(left_level, _of_three(straight if curve is None else curve)), in_tones_of_left
     )
     return Proxy(left=left_bgr, right=right_bgr, left_grey=left_grey, right_grey=right_grey, left_known=left_known, right_known=right_known)
