@@ -2,8 +2,8 @@
 
 In: the match, the refined disparity and the flow's second opinion.  Out: confidence (H, W), the share of such pixels
 within 1 px of truth, and reason flags.  The evidence: the right eye confirms the match, here and round about; the flow confirms
-it, here and round about; no edge is near; the refinement's own standard deviation, which knows noise and texture; and what is left
-between the eyes there, beside the plates' grain.
+it, here and round about; no edge is near; the refinement's own standard deviation, which knows noise and texture; what is left
+between the eyes there, beside the plates' grain; and whether they share anything but grain.
 A logistic regression weighs it.  Its coefficients were fitted on synthetic shots; docs/depth.md shows the check on
 footage that had no part in the fit.  The same evidence gives the standard deviation of the disparity."""
 

@@ -23,6 +23,7 @@ TEXTURE_GROWS = 4.0  # how much more of a picture's texture there is at two pixe
 LEAST = 0.3  # grey levels: less grain than the steps of 8 bits leave is not told
 FITS = 12
 EVEN = 1.1  # times the usual grain that is as good as even
+LEAST_SLOPE = 0.5  # how much a grainy tone is pressed: further, what it shows falls under a grey level
 MOST_SLOPE = 1.5  # how much a calm tone is stretched: beyond, small differences of gain between the eyes are, too
 
 
@@ -88,7 +89,7 @@ def even_tones(grains: list[Grain], level: UInt16, *, calm: float) -> Float32 | 
     """(LEVELS,) grey levels 0..255 in which the grain of all `grains` together is as strong everywhere; None where the root has it so already.
 
     calm : grey levels; so much grain and less is as good as none.
-    A generalised Anscombe transform (Anscombe 1948), as strong as `calm` at least so that clean tones stay what they were.
+    A generalised Anscombe transform (Anscombe 1948), as strong as `calm` at least so that clean tones stay what they were; none is pressed to less than half, nor stretched by more than half.
     """
     if not grains:
         return None
@@ -96,7 +97,7 @@ def even_tones(grains: list[Grain], level: UInt16, *, calm: float) -> Float32 | 
     sigma = np.maximum(np.sqrt(np.mean([one.of_tones(tone) ** 2 for one in grains], axis=0)), calm)
     sigma = np.maximum.accumulate(sigma[::-1])[::-1]  # where black cuts it off it is less, and no help
     wanted = sigma[int(np.median(level[::4, ::4, 1]))] / sigma
-    slope = np.where(wanted < 1, np.minimum(EVEN * wanted, 1), np.clip(wanted / EVEN, 1, MOST_SLOPE))
+    slope = np.where(wanted < 1, np.clip(EVEN * wanted, LEAST_SLOPE, 1), np.clip(wanted / EVEN, 1, MOST_SLOPE))
     if (slope == 1).all():
         return None
     curve = np.concatenate([[0.0], np.cumsum(slope[1:] + slope[:-1])]) * (255 / (2 * LEVELS - 2))
