@@ -89,7 +89,8 @@ def even_tones(grains: list[Grain], level: UInt16, *, calm: float) -> Float32 | 
     """(LEVELS,) grey levels 0..255 in which the grain of all `grains` together is as strong everywhere; None where the root has it so already.
 
     calm : grey levels; so much grain and less is as good as none.
-    A generalised Anscombe transform (Anscombe 1948), as strong as `calm` at least so that clean tones stay what they were; none is pressed to less than half, nor stretched by more than half.
+    A generalised Anscombe transform (Anscombe 1948), as strong as `calm` at least so that clean tones stay what they were; none is
+    pressed to less than half, nor stretched by more than half.
     """
     if not grains:
         return None
