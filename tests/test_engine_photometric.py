@@ -172,7 +172,8 @@ def test_believed_is_the_logistic_weighing(seed: int) -> None:
     t = c[0] + c[1] * confirmed + c[2] * agrees + c[3] * edge + c[4] * np.log(np.maximum(sigma, 1e-3) / 0.03)
     t = t + c[5] * near + c[6] * flow_near + c[7] * edge * near + c[8] * edge * flow_near + c[9] * np.log1p(misfit) + c[10] * alone
     p = 1 / (1 + np.exp(-t))
-    out = believed(c, confirmed, agrees, near, flow_near, spread, sigma, misfit, alone, floor=0.3)
-    assert out == pytest.approx(np.sqrt((p**2 + 0.09) / 1.09), abs=1e-5)
+    out = believed(c, confirmed, agrees, near, flow_near, spread, sigma, misfit, alone, floors=(0.6, 0.3))
+    floor2 = (0.6 - 0.3 * alone) ** 2
+    assert out == pytest.approx(np.sqrt((p**2 + floor2) / (1 + floor2)), abs=1e-5)
     assert out.min() >= 0.28
     assert out.max() <= 1

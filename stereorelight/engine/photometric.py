@@ -10,7 +10,7 @@ from numba import njit
 from stereorelight.arrays import Float32
 from stereorelight.engine.fastmath import kernel
 from stereorelight.engine.rows import in_row_blocks
-from stereorelight.engine.windows import row_mean_square_9
+from stereorelight.engine.windows import Seen, row_sum_square_9
 
 f4 = np.float32
 i4 = np.int32
@@ -120,7 +120,7 @@ def _with_ends(row, out):
 
 
 @_leaf
-def _difference_row(row, own, other, d, residual, rate):
+def _difference_row(row, own, other, d, seen, residual, rate):
     W = row.size
     for x in range(W):
         u = min(max(f4(x) - d[x], f4(0)), f4(W - 1))
@@ -131,25 +131,30 @@ def _difference_row(row, own, other, d, residual, rate):
         value = s * s * s * c0 + (f4(4) - f4(6) * t * t + f4(3) * t * t * t) * c1 + (f4(4) - f4(6) * s * s + f4(3) * s * s * s) * c2 + t * t * t * c3
         slope = -s * s * c0 + (f4(3) * t * t - f4(4) * t) * c1 + (f4(4) * s - f4(3) * s * s) * c2 + t * t * c3
         here = own[x + 2] - own[x]
-        residual[x] = row[x] - f4(1 / 6) * value
+        residual[x] = seen[x] * (row[x] - f4(1 / 6) * value)
         # Both eyes' slopes: the mean is right to second order where either alone is right to first.
-        rate[x] = f4(-0.25) * (slope + here)
+        rate[x] = f4(-0.25) * seen[x] * (slope + here)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _differences(first, end, left, left_spline, right_spline, disparity, residual, rate):
+def _differences(first, end, left, left_spline, right_spline, disparity, seen, residual, rate):
     W = left.shape[1]
     own, other = np.empty(W + 3, np.float32), np.empty(W + 3, np.float32)
     for y in range(first, end):
         _with_ends(left_spline[y], own)
         _with_ends(right_spline[y], other)
-        _difference_row(left[y], own, other, disparity[y], residual[y], rate[y])
+        _difference_row(left[y], own, other, disparity[y], seen[y], residual[y], rate[y])
 
 
-def spline_residual(left: Float32, left_spline: Float32, right_spline: Float32, disparity: Float32) -> tuple[Float32, Float32]:
-    """left - right(x - d), grey levels, and the change of right(x - d) per pixel of disparity; pictures as `row_splines` gives them."""
+def spline_residual(
+    left: Float32, left_spline: Float32, right_spline: Float32, disparity: Float32, seen: Float32 | None = None
+) -> tuple[Float32, Float32]:
+    """left - right(x - d), grey levels, and the change of right(x - d) per pixel of disparity; pictures as `row_splines` gives them.
+
+    seen : (H, W), 1 or 0: both are 0 where it is."""
     residual, rate = np.empty_like(left), np.empty_like(left)
-    in_row_blocks(lambda first, end: _differences(first, end, left, left_spline, right_spline, disparity, residual, rate), left.shape[0])
+    given = (left, left_spline, right_spline, disparity, np.ones_like(left) if seen is None else seen, residual, rate)
+    in_row_blocks(lambda first, end: _differences(first, end, *given), left.shape[0])
     return residual, rate
 
 
@@ -178,16 +183,16 @@ def _evidence(first, end, disparity, residual, rate, noise2, rate2, trust, grain
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _held(first, end, disparity, residual, rate, trust, matched, tuning, locking, steepness, noise, weight, pull):
-    usual9, floor2, grain2, unseen, prior_unseen, prior_seen = tuning
+def _held(first, end, disparity, residual, rate, trust, seen, per, matched, tuning, locking, steepness, noise, weight, pull):
+    usual9, floor2, grain2, prior_unseen, prior_seen = tuning
     W = disparity.shape[1]
     wide, noise2, rate2 = np.empty(W + 8, np.float32), np.empty(W, np.float32), np.empty(W, np.float32)
     for y in range(first, end):
-        row_mean_square_9(residual, y, usual9, wide, noise2)
-        row_mean_square_9(rate, y, f4(np.inf), wide, rate2)
+        row_sum_square_9(residual, y, usual9, per[y], wide, noise2)
+        row_sum_square_9(rate, y, f4(np.inf), per[y], wide, rate2)
         _evidence_row(disparity[y], residual[y], rate[y], noise2, floor2, rate2, trust[y], grain2, locking, steepness, noise, weight[y], pull[y])
         for x in range(W):
-            prior = prior_unseen if trust[y, x] <= unseen else prior_seen
+            prior = prior_seen if seen[y, x] > 0 else prior_unseen
             weight[y, x] += prior
             pull[y, x] += prior * (matched[y, x] - disparity[y, x])
 
@@ -214,31 +219,32 @@ def held_evidence(
     residual: Float32,
     rate: Float32,
     trust: Float32,
+    seen: Seen,
     matched: Float32,
     *,
     most2: float,
     floor2: float,
     grain2: float,
-    unseen: float,
     priors: tuple[float, float],
 ) -> tuple[Float32, Float32]:
-    """`photometric_evidence`, with the noise of the pictures measured over 9 x 9, held to a disparity that was `matched`.
+    """`photometric_evidence`, with the noise of the pictures measured over what is `seen` of 9 x 9, held to a disparity that was `matched`.
 
-    most2, floor2 : grey levels squared; a square that counts no more than that for the noise, and what the noise is at least.
-    grain2        : variance of either picture's white grain, grey levels squared.
-    priors        : weight of the matched disparity, 1/px^2, where `trust` is `unseen` or less, and elsewhere.
+    residual, rate : 0 where nothing is seen.
+    most2, floor2  : grey levels squared; a square that counts no more than that for the noise, and what the noise is at least.
+    grain2         : variance of either picture's white grain, grey levels squared.
+    priors         : weight of the matched disparity, 1/px^2, where nothing is seen, and elsewhere.
     """
     weight, pull = np.empty_like(disparity), np.empty_like(disparity)
-    tuning = tuple(f4(a) for a in (most2, floor2, grain2, unseen, *priors))
-    given = (disparity, residual, rate, trust, matched, tuning, LOCKING, STEEPNESS, NOISE, weight, pull)
+    tuning = tuple(f4(a) for a in (most2, floor2, grain2, *priors))
+    given = (disparity, residual, rate, trust, seen.here, seen.per_9, matched, tuning, LOCKING, STEEPNESS, NOISE, weight, pull)
     in_row_blocks(lambda first, end: _held(first, end, *given), disparity.shape[0])
     return weight, pull
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _believed(first, end, coefficients, floor2, flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, out):
+def _believed(first, end, coefficients, floors, flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, out):
     W = spread.shape[1]
-    scale = f4(1) / (f4(1) + floor2)
+    floor, lower = floors
     for y in range(first, end):
         for x in range(W):
             t = coefficients[0]
@@ -252,7 +258,8 @@ def _believed(first, end, coefficients, floor2, flow_agrees, confirmed, flow_nea
             t += coefficients[9] * np.log(f4(1) + misfit[y, x])
             t += coefficients[10] * alone[y, x]
             p = f4(1) / (f4(1) + np.exp(-t))
-            out[y, x] = np.sqrt((p * p + floor2) * scale)
+            least = floor + alone[y, x] * (lower - floor)
+            out[y, x] = np.sqrt((p * p + least * least) / (f4(1) + least * least))
 
 
 def believed(
@@ -266,10 +273,13 @@ def believed(
     misfit: Float32,
     alone: Float32,
     *,
-    floor: float,
+    floors: tuple[float, float],
 ) -> Float32:
-    """The logistic weighing p of the evidence that stereo/confidence.py names, told as sqrt((p^2 + floor^2) / (1 + floor^2)); every array (H, W)."""
+    """The logistic weighing p of the evidence that stereo/confidence.py names, told as sqrt((p^2 + floor^2) / (1 + floor^2)); every array (H, W).
+
+    floors : where `alone` is 0 and where it is 1.
+    """
     out = np.empty_like(spread)
-    given = (coefficients, f4(floor * floor), flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, out)
+    given = (coefficients, (f4(floors[0]), f4(floors[1])), flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, out)
     in_row_blocks(lambda first, end: _believed(first, end, *given), spread.shape[0])
     return out

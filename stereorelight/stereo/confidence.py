@@ -34,10 +34,10 @@ EVIDENCE = (
     "log misfit",
     "eyes share nothing",
 )
-COEFFICIENTS = np.array([3.35, 0.92, 0.284, -0.325, -1.4, 1.417, 0.003, -2.565, -0.521, -0.29, -3.6], dtype=np.float32)
-FLOOR = 0.3  # ground of which nothing is known but what lies beside it is right that often
+COEFFICIENTS = np.array([2.944, 1.359, -0.095, -0.838, -1.949, 1.441, 0.304, -1.394, -0.873, -0.415, -3.6], dtype=np.float32)
+FLOOR, LOWER = 0.6, 0.3  # by which ground of which nothing is known but what lies beside it is told right; and where the eyes share nothing
 # log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log of how far errors hang together.
-SIGMA_COEFFICIENTS = (0.866, 0.82, 0.618, 0.378)
+SIGMA_COEFFICIENTS = (0.933, 0.987, 0.531, 0.325)
 MOST_SIGMA_PX = 8.0
 WINDOW = (7, 7)
 CONFIRMED_NEARBY, FLOW_NEARBY = (9, 9), (15, 15)
@@ -134,16 +134,16 @@ def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | No
 def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS) -> Float32:
     """(H, W) float32, 0..1: among pixels of confidence c a share of about c is within 1 px of truth."""
     nearby = (e.confirmed_nearby, e.flow_agrees_nearby)
-    return believed(coefficients, e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, e.misfit, e.alone, floor=FLOOR)
+    return believed(coefficients, e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, e.misfit, e.alone, floors=(FLOOR, LOWER))
 
 
-def sigma_from_evidence(e: Evidence, confidence: Float32) -> Float32:
+def sigma_from_evidence(e: Evidence, confidence: Float32, coefficients: tuple[float, float, float, float] = SIGMA_COEFFICIENTS) -> Float32:
     """(H, W) px: the standard deviation of the disparity; 68 % of such pixels are within it, as the synthetic shots were.
 
     The refinement's own sigma knows noise and bend, and takes pixels for independent; this adds what it cannot know: a wrong surface, and
     errors that hang together.
     """
-    always, own, doubt, together = (np.float32(c) for c in SIGMA_COEFFICIENTS)
+    always, own, doubt, together = (np.float32(c) for c in coefficients)
     out = np.empty_like(confidence)
 
     def run(first: int, end: int) -> None:

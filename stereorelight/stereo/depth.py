@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from stereorelight.arrays import Float32
+from stereorelight.arrays import Bool, Float32
 from stereorelight.camera import Eye
 from stereorelight.engine.distance import distances
 from stereorelight.engine.occlusion import consistent
@@ -83,8 +83,11 @@ def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings, plate:
     return RectifiedDepth(refined=refined, confidence=confidence, flags=flags, vertical_px=depth.vertical_px)
 
 
-def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None, hints: Hinted | None) -> RectifiedDepth:
-    """Match, check, refine and judge the left eye of a rectified pair; `flow` is the second opinion, None in a draft."""
+def refined_with_evidence(
+    proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None, hints: Hinted | None = None
+) -> tuple[Refined, Bool, belief.Evidence]:
+    """Match, check and refine the left eye of a rectified pair: its disparity, (H, W) where both eyes confirm the match, and what there is to
+    judge it by.  `flow` is the second opinion, None in a draft."""
     found = _matched(proxy, search, settings)
     confirmed = consistent(found.left, found.right, within_px=settings.consistency_px)
     dense, known = found.dense, np.isfinite(found.left)
@@ -103,7 +106,12 @@ def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow
         proxy, dense, confirmed, known=known, ramps=settings.matcher != OWN, calm=found.calm, effort=EFFORTS[settings.quality],
         subject=subject, ignore=ignore,
     )  # fmt: skip
-    evidence = belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity)
+    return refined, confirmed, belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity)
+
+
+def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None, hints: Hinted | None) -> RectifiedDepth:
+    """The left eye of a rectified pair, judged."""
+    refined, confirmed, evidence = refined_with_evidence(proxy, search, settings, flow, hints)
     confidence = belief.confidence_from_evidence(evidence)
     sigma, flags = at_once(
         lambda: belief.sigma_from_evidence(evidence, confidence),

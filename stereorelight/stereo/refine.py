@@ -25,7 +25,7 @@ from stereorelight.engine.photometric import held_evidence, row_splines, spline_
 from stereorelight.engine.pyramid import doubled, halved
 from stereorelight.engine.refine import blended, robust_planes
 from stereorelight.engine.rows import at_once
-from stereorelight.engine.windows import less_local_means
+from stereorelight.engine.windows import Seen, less_local_means
 from stereorelight.stereo.hints import on_matte_edge
 from stereorelight.stereo.proxy import Proxy, grain_of
 
@@ -70,9 +70,11 @@ class Refined:
 class Effort:
     """How much refinement a quality buys.
 
-    passes : of the first plane fit, which looks at every `stride`-th pixel and is blended with its neighbours' `blends` times.
+    passes : of the first plane fit, which looks at every `stride`-th pixel of those within `radius` and is blended with its neighbours'
+             `blends` times.
+    tau_px : how far off a plane a neighbour may lie and still belong to the surface; the first pass takes twice that.
     rounds : of looking at the pictures again from the better surface.
-    steps  : of the solver on each level of a round.
+    steps  : of the solver on each level of a round; last: of the last round.
     finest : the level that rounds before the last stop at, 0 the full size, 1 half of it: they only bring the surface near enough for
              the last to look at the pictures from.
     """
@@ -80,16 +82,21 @@ class Effort:
     passes: int
     rounds: int
     steps: int
+    last: int
     finest: int = 0
-    stride: int = 4
+    radius: int = 2
+    stride: int = 1
+    tau_px: float = 0.25
     blends: int = 1
 
 
 EFFORTS = {
-    "draft": Effort(passes=1, rounds=1, steps=5),
-    "standard": Effort(passes=1, rounds=3, steps=8, finest=1),
-    "fine": Effort(passes=2, rounds=4, steps=14, stride=3, blends=2),
+    "draft": Effort(passes=1, rounds=1, steps=5, last=5, radius=6, stride=4, tau_px=0.5),
+    "standard": Effort(passes=1, rounds=4, steps=12, last=6, finest=1),
+    "fine": Effort(passes=2, rounds=4, steps=20, last=10, blends=2),
 }
+GRAINY = 1.5  # grey levels of noise from which matches scatter more about a plane
+BLEND_TAU_PX = 0.5  # planes that differ by more are of two surfaces
 JUMP_PX = 1.5  # a step between neighbours that no surface worth lighting makes
 EDGE_PX = 4  # how far from a step a pixel may be on the wrong side of it
 SIDE_PX = 6  # even; how far to look for the two sides of a step
@@ -98,7 +105,7 @@ NOISE_FLOOR = 0.7  # grey levels: quantisation and resampling leave no less
 UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.1
 PRIOR = 0.02  # weight of the matched disparity where the pictures say nothing, 1/px^2: its errors hang together over many pixels
 UNSEEN_PRIOR = 0.0005  # and of background copied along a row: enough to hold the level, too little to print rows
-CUT_PX = 0.08  # a second difference that no surface makes: a depth edge, over which nothing binds
+CUT_PX = 0.065  # a second difference that no surface makes: a depth edge, over which nothing binds
 LEVELS = 5
 BEND = 0.006  # px per px^2: what a surface bends by before anything is known of it
 BEND_DOUBT = 4.0  # worth of that guess, in independent measurements
@@ -209,14 +216,16 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
     """
     grain2 = 0.5 * (grain_of(proxy.left_grey) ** 2 + grain_of(proxy.right_grey) ** 2)
     left_spline, right_spline = row_splines(proxy.left_grey), row_splines(proxy.right_grey)
+    seen = Seen.where(trust > UNSEEN_TRUST)
 
     def evidence(d: Float32) -> tuple[Float32, Float32, Float32]:
         # A difference of brightness over a neighbourhood is exposure, not disparity.
-        residual, rate = less_local_means(*spline_residual(proxy.left_grey, left_spline, right_spline, d), trust, least=UNSEEN_TRUST)
-        few = residual[::4, ::4]
-        usual = 2.2 * float(np.median(few * few)) + NOISE_FLOOR**2
-        tuning = {"most2": 9 * usual, "floor2": NOISE_FLOOR**2, "grain2": grain2, "unseen": UNSEEN_TRUST}
-        weight, pull = held_evidence(d, residual, rate, trust, disparity, **tuning, priors=(UNSEEN_PRIOR, PRIOR))
+        residual, rate = less_local_means(*spline_residual(proxy.left_grey, left_spline, right_spline, d, seen.here), seen)
+        few = residual[::4, ::4][seen.here[::4, ::4] > 0]
+        usual = (2.2 * float(np.median(few * few)) if few.size else 0.0) + NOISE_FLOOR**2
+        weight, pull = held_evidence(
+            d, residual, rate, trust, seen, disparity, most2=9 * usual, floor2=NOISE_FLOOR**2, grain2=grain2, priors=(UNSEEN_PRIOR, PRIOR)
+        )
         return weight, pull, _mean_weight(weight)
 
     d = disparity
@@ -225,8 +234,8 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
         bends: Callable[[], list[Float32]] = list if bend is None else partial(bends_seen, d)
         (weight, pull, mean), energies = at_once(partial(evidence, d), bends)
         bend = np.full_like(mean, BEND) if bend is None else expected_bend(energies, mean, bend)
-        finest = effort.finest if k < effort.rounds - 1 else 0
-        moved = plate_correction(d, weight, pull, _grown(bend, d.shape), cut=CUT_PX, levels=LEVELS, steps=effort.steps, finest=finest)
+        finest, steps = (effort.finest, effort.steps) if k < effort.rounds - 1 else (0, effort.last)
+        moved = plate_correction(d, weight, pull, _grown(bend, d.shape), cut=CUT_PX, levels=LEVELS, steps=steps, finest=finest)
         d = d + np.clip(moved, -1, 1)
     assert bend is not None
     return Surface(disparity=d, weight=mean, bend=bend, clumped=clumped(weight, pull))
@@ -296,7 +305,6 @@ def refine(
     ramps: bool = False,
     calm: UInt8 | None = None,
     effort: Effort = EFFORTS["standard"],
-    tau_px: float = 0.5,
     subject: Bool | None = None,
     ignore: Bool | None = None,
 ) -> Refined:
@@ -306,7 +314,6 @@ def refine(
     known     : (H, W), the rest of `dense` is no answer: the background beside it is put there.
     ramps     : the matcher leaves ramps and fattened outlines at edges, which are then taken out first.
     calm      : the left picture with less grain, to tell things apart by.
-    tau_px    : how far off a plane a neighbour may lie and still belong to the surface.
     subject   : (H, W), what stands before the rest, where a matte tells: the step at its outline lies on the matte's edge.
     ignore    : (H, W), ground whose brightness says nothing of its depth.
     """
@@ -335,9 +342,10 @@ def refine(
     if ignore is not None:
         trust[ignore] = UNSEEN_TRUST
     if effort.passes:
-        planes = robust_planes(filled, trust, radius=6, stride=effort.stride, tau_px=tau_px, passes=effort.passes)
+        tau_px = effort.tau_px * float(np.clip(proxy.noise() / GRAINY, 1, 2))
+        planes = robust_planes(filled, trust, radius=effort.radius, stride=effort.stride, tau_px=tau_px, passes=effort.passes)
         for _ in range(effort.blends):
-            planes = blended(planes, tau_px=tau_px)
+            planes = blended(planes, tau_px=BLEND_TAU_PX)
         filled = planes[0]
     if ramps:
         filled = sided(filled, proxy)

@@ -27,7 +27,8 @@ SIGMA_FINE_GAIN, SIGMA_COARSE_GAIN = 0.82, 1.05
 # Of depth that matching has smoothed, whose windows agree better than they are right: log(N_sigma, degrees) as always, log of the windows' own
 # disagreement, radians, log of Z_sigma over a pixel's width, log of how far the surface faces the camera (one, as geometry has it: the fit left
 # free takes too little of it for floors), and log of the windows' half-width.
-FITTED = (4.41, 0.417, 0.763, 1.0, -0.918)
+FITTED = (4.797, 0.527, 0.651, 1.0, -0.869)
+FITTED_LEAST_DEG = 0.25  # joins it in square: renders are truer than any rig, whose rows and lenses tilt a surface by as much
 FITTED_MOST_DEG = 55.0  # normals of which nothing is known are off by no more than this, two times in three
 LEAST_ERROR = 1e-4  # radians, and metres per metre
 LEAST_FACING = 0.05
@@ -103,20 +104,28 @@ def normals_and_sigma(
     if Z_sigma is None:
         return N, _as_sigma(error)
     tilt = camera.fx * as_float32(Z_sigma, "Z_sigma", size_hw=camera.size_hw) / depth
-    told = np.where(np.isfinite(tilt), _smoothed_sigma(N, error, radius, tilt, rays), _as_sigma(error))
+    told = np.where(np.isfinite(tilt), told_deg(what_normals_know(N, error, radius, tilt, rays)), _as_sigma(error))
     return N, told.astype(np.float32)
 
 
-def _smoothed_sigma(N: Float32, error: Float32, radius: Float32, tilt: Float32, rays: Float64) -> Float32:
-    """Degrees that a normal of smoothed depth is off by: `tilt`, Z_sigma over a pixel's width, is an error that hangs together over some
-    pixels; the wider the window beside that, the less of it the normal takes."""
+def what_normals_know(N: Float32, error: Float32, radius: Float32, tilt: Float32, rays: Float64) -> tuple[npt.NDArray[np.floating], ...]:
+    """The logarithms that `FITTED` weighs, each (H, W): of the windows' disagreement, of `tilt`, which is Z_sigma over a pixel's width, of how far
+    the surface faces the camera, and of the windows' half-width.  The tilt is an error that hangs together over some pixels: the wider the
+    window beside that, the less of it the normal takes."""
     facing = (N[..., 2] - N[..., 0] * rays[..., 0] + N[..., 1] * rays[..., 1]) / np.sqrt(1 + (rays * rays).sum(axis=-1))
-    always, *shares = FITTED
     with np.errstate(invalid="ignore", divide="ignore"):
-        log: npt.NDArray[np.floating] | float = always
-        for share, value, least in zip(shares, (error, tilt, facing, radius), (LEAST_ERROR, LEAST_ERROR, LEAST_FACING, 1.0), strict=True):
-            log = log + share * np.log(np.maximum(value, least))
-        told: Float32 = (FITTED_MOST_DEG * -np.expm1(-np.exp(log) / FITTED_MOST_DEG)).astype(np.float32)
+        pairs = zip((error, tilt, facing, radius), (LEAST_ERROR, LEAST_ERROR, LEAST_FACING, 1.0), strict=True)
+        return tuple(np.log(np.maximum(value, least)) for value, least in pairs)
+
+
+def told_deg(known: tuple[npt.NDArray[np.floating], ...], coefficients: tuple[float, ...] = FITTED) -> Float32:
+    """`N_sigma`, degrees, by what `what_normals_know`."""
+    always, *shares = coefficients
+    log: npt.NDArray[np.floating] | float = always
+    for share, value in zip(shares, known, strict=True):
+        log = log + share * value
+    with np.errstate(invalid="ignore"):
+        told: Float32 = np.hypot(FITTED_MOST_DEG * -np.expm1(-np.exp(log) / FITTED_MOST_DEG), FITTED_LEAST_DEG).astype(np.float32)
     return told
 
 
