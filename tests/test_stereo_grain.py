@@ -46,6 +46,9 @@ def test_no_grain_is_told_of_clean_plates_and_none_of_black_ones() -> None:
     assert grain_by_tone(np.zeros((480, 640, 3), np.uint16)) is None
     assert even_tones([], clean, calm=CALM) is None
     assert grain_by_tone(clean[:9, :9]) is None
+    assert even_tones([Grain(floor=0.0005**2, shot=0.0)], np.maximum(clean, 1200), calm=CALM) is None, (
+        "no tone is there that grain would be strong in"
+    )
 
 
 def test_flutter_is_the_variance_of_white_grain_whatever_the_ramp() -> None:

@@ -22,6 +22,7 @@ CALMEST_OF_WHITE = 0.64  # their mean variance where all is white grain, of what
 TEXTURE_GROWS = 4.0  # how much more of a picture's texture there is at two pixels' distance than at one, at least, as variance
 LEAST = 0.3  # grey levels: less grain than the steps of 8 bits leave is not told
 FITS = 12
+DARKEST = 0.01  # share of the picture that may be darker than tones are evened for
 EVEN = 1.1  # times the usual grain that is as good as even
 LEAST_SLOPE = 0.5  # how much a grainy tone is pressed: further, what it shows falls under a grey level
 MOST_SLOPE = 1.5  # how much a calm tone is stretched: beyond, small differences of gain between the eyes are, too
@@ -94,10 +95,11 @@ def even_tones(grains: list[Grain], level: UInt16, *, calm: float) -> Float32 | 
     """
     if not grains:
         return None
-    tone = np.linspace(0, 1, LEVELS)
+    darkest, middle = np.quantile(level[::4, ::4, 1], (DARKEST, 0.5)).astype(int)
+    tone = np.maximum(np.linspace(0, 1, LEVELS), darkest / (LEVELS - 1))  # of tones that are not there nothing is known
     sigma = np.maximum(np.sqrt(np.mean([one.of_tones(tone) ** 2 for one in grains], axis=0)), calm)
     sigma = np.maximum.accumulate(sigma[::-1])[::-1]  # where black cuts it off it is less, and no help
-    wanted = sigma[int(np.median(level[::4, ::4, 1]))] / sigma
+    wanted = sigma[middle] / sigma
     slope = np.where(wanted < 1, np.clip(EVEN * wanted, LEAST_SLOPE, 1), np.clip(wanted / EVEN, 1, MOST_SLOPE))
     if (slope == 1).all():
         return None
