@@ -9,6 +9,7 @@ from numba import njit
 
 from stereorelight.arrays import Float32
 from stereorelight.engine.fastmath import kernel
+from stereorelight.engine.locking import FRACTIONS, POLE, Tables, locking_tables
 from stereorelight.engine.rows import in_row_blocks
 from stereorelight.engine.windows import Seen, row_sum_square_9
 
@@ -46,38 +47,6 @@ def brightness_residual(left: Float32, right: Float32, disparity: Float32) -> tu
     residual, rate = np.empty_like(left), np.empty_like(left)
     in_row_blocks(lambda first, end: _residual(first, end, left, right, disparity, residual, rate), left.shape[0])
     return residual, rate
-
-
-POLE = np.float32(np.sqrt(3.0) - 2.0)  # of the cubic spline's recursive filter (Unser 1999)
-FRACTIONS = 1024  # steps of the tables below
-
-
-def _cardinal_tables() -> tuple[Float32, Float32, Float32]:
-    """What interpolation does to white noise of variance one, by fraction of a pixel, (FRACTIONS + 1,) each.
-
-    pull  : half the covariance of an interpolated value and its slope, over `noise`: noise is least half way between pixels, so that is
-            where noise draws a match to (pixel locking).
-    rate  : variance of the mean of both eyes' slopes, over `noise`.
-    noise : variance of (pixel minus value).
-    """
-    n = 41
-    basis = np.eye(n)[n // 2] * 6.0
-    z = float(POLE)
-    c = np.zeros(n)
-    for k in range(n):  # the cardinal spline's coefficients are a two-sided decaying power of the pole
-        c[k] = basis[n // 2] * (-z / (1 - z * z)) * z ** abs(k - n // 2)
-    t = np.linspace(0, 1, FRACTIONS + 1)
-    s = 1 - t
-    value = (s**3 / 6, (4 - 6 * t**2 + 3 * t**3) / 6, (4 - 6 * s**2 + 3 * s**3) / 6, t**3 / 6)
-    slope = (-(s**2) / 2, (3 * t**2 - 4 * t) / 2, (4 * s - 3 * s**2) / 2, t**2 / 2)
-    weights, slopes = (np.stack([sum(c[k + j - 1] * b[j] for j in range(4)) for k in range(1, n - 2)]) for b in (value, slope))
-    noise = 1 + (weights**2).sum(axis=0)
-    covariance = (weights * slopes).sum(axis=0)
-    steep = (slopes**2).sum(axis=0)
-    return (0.5 * covariance / noise).astype(np.float32), (0.25 * (steep + steep[0]) / noise).astype(np.float32), noise.astype(np.float32)
-
-
-LOCKING, STEEPNESS, NOISE = _cardinal_tables()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -198,18 +167,27 @@ def _held(first, end, disparity, residual, rate, trust, seen, per, matched, tuni
 
 
 def photometric_evidence(
-    disparity: Float32, residual: Float32, rate: Float32, noise2: Float32, rate2: Float32, trust: Float32, *, grain2: float = np.inf
+    disparity: Float32,
+    residual: Float32,
+    rate: Float32,
+    noise2: Float32,
+    rate2: Float32,
+    trust: Float32,
+    *,
+    grain2: float = np.inf,
+    tables: Tables | None = None,
 ) -> tuple[Float32, Float32]:
     """What each pixel's brightness says of its disparity: weight (inverse variance, 1/px^2) and weight times (asked - had).
 
     residual, rate : as `spline_residual` gives them, less their local means: a difference of exposure is no disparity.
     noise2, rate2  : (H, W) local mean squares of both, grey levels squared; noise2 > 0.   trust : (H, W) 0..1.
     grain2         : variance of either picture's white grain, grey levels squared; all of the noise is, where that is no less.
+    tables         : of `locking_tables`; left out, those of white grain.
     A residual three times the local noise counts a quarter.  What noise alone adds to the slope, and the pull of grain towards
     half pixels, are taken off.
     """
     weight, pull = np.empty_like(disparity), np.empty_like(disparity)
-    given = (disparity, residual, rate, noise2, rate2, trust, f4(grain2), LOCKING, STEEPNESS, NOISE, weight, pull)
+    given = (disparity, residual, rate, noise2, rate2, trust, f4(grain2), *(tables or locking_tables(1.0)), weight, pull)
     in_row_blocks(lambda first, end: _evidence(first, end, *given), disparity.shape[0])
     return weight, pull
 
@@ -225,18 +203,19 @@ def held_evidence(
     most2: float,
     floor2: float,
     grain2: float,
+    tables: Tables,
     priors: tuple[float, float],
 ) -> tuple[Float32, Float32]:
     """`photometric_evidence`, with the noise of the pictures measured over what is `seen` of 9 x 9, held to a disparity that was `matched`.
 
     residual, rate : 0 where nothing is seen.
     most2, floor2  : grey levels squared; a square that counts no more than that for the noise, and what the noise is at least.
-    grain2         : variance of either picture's white grain, grey levels squared.
+    grain2         : variance of either picture's grain, grey levels squared.   tables: of `locking_tables`, what that grain does.
     priors         : weight of the matched disparity, 1/px^2, where nothing is seen, and elsewhere.
     """
     weight, pull = np.empty_like(disparity), np.empty_like(disparity)
     tuning = tuple(f4(a) for a in (most2, floor2, grain2, *priors))
-    given = (disparity, residual, rate, trust, seen.here, seen.per_9, matched, tuning, LOCKING, STEEPNESS, NOISE, weight, pull)
+    given = (disparity, residual, rate, trust, seen.here, seen.per_9, matched, tuning, *tables, weight, pull)
     in_row_blocks(lambda first, end: _held(first, end, *given), disparity.shape[0])
     return weight, pull
 

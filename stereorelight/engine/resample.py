@@ -14,18 +14,21 @@ f4 = np.float32
 
 
 LOBES = 3  # of the sinc on either side
+CUTOFF = 0.8  # of the finest detail that pixels hold: what is finer comes through on pixels, and not between them
 STEPS = 8192  # fractions of a pixel in the table: looking up the nearest moves a sample by at most 1/16384 px
 
 
-def _lanczos_table() -> Float32:
-    """Weights (STEPS + 1, 6) of the six pixels about each fraction; each row sums to one, so plain areas stay plain."""
+def _sinc_table(cutoff: float) -> Float32:
+    """Weights (STEPS + 1, 6) of the six pixels about each fraction, of a sinc under Lanczos' window; each row sums to one, so plain areas
+    stay plain."""
     x = np.linspace(0, 1, STEPS + 1)[:, None] + (LOBES - 1) - np.arange(2 * LOBES)
-    weights = np.sinc(x) * np.sinc(x / LOBES) * (np.abs(x) < LOBES)
+    weights = np.sinc(cutoff * x) * np.sinc(x / LOBES) * (np.abs(x) < LOBES)
     weights[np.abs(weights) < 1e-12] = 0  # the sinc of a whole number: a whole position gives its pixel exactly
     return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
-LANCZOS = _lanczos_table()
+LANCZOS = _sinc_table(1.0)
+EVEN = _sinc_table(CUTOFF)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -53,10 +56,14 @@ def _windowed_sinc(first, end, picture, pixels, table, out):
                 out[y, x, c] = total
 
 
-def resample(picture: Float32, pixels: Float32) -> Float32:
-    """`picture` at `pixels` by a Lanczos kernel of three lobes; the border is repeated, and beyond the frame is NaN."""
+def resample(picture: Float32, pixels: Float32, kernel: Float32 = LANCZOS) -> Float32:
+    """`picture` at `pixels`; the border is repeated, and beyond the frame is NaN.
+
+    kernel : LANCZOS, of three lobes, true to detail and exact on whole pixels; or EVEN, which lets detail through alike wherever pixels fall,
+             for what is to be compared with another picture.
+    """
     out = np.empty((*pixels.shape[:2], picture.shape[2]), np.float32)
-    in_row_blocks(lambda first, end: _windowed_sinc(first, end, picture, pixels, LANCZOS, out), pixels.shape[0])
+    in_row_blocks(lambda first, end: _windowed_sinc(first, end, picture, pixels, kernel, out), pixels.shape[0])
     return out
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from stereorelight.arrays import Float32, Float64, UInt16
 from stereorelight.engine.grain import BLOCK, flutter
+from stereorelight.engine.locking import roughness
 from stereorelight.engine.tone import LEVELS
 
 BLOCKS = 4000  # looked at: enough for a tenth of the grain at every tone
@@ -62,13 +63,17 @@ def _fitted(light: Float64, variance: Float64, trust: Float64) -> Grain:
     return Grain(floor=floor, shot=shot)
 
 
-def grain_by_tone(level: UInt16) -> Grain | None:
+def grain_by_tone(level: UInt16, step: float = 1.0) -> Grain | None:
     """The grain of a plate, from its calmest blocks at each tone; None where too little of it is neither black nor white.
 
+    step : how far apart on the plate the pixels were taken.  Grain that was resampled hangs together as texture does: only every other pixel
+           of it is looked at, which hardly do.
     Texture that is everywhere is told from grain by its growth: it flutters more from one pixel to the second than to the first.
     """
-    step = max(BLOCK, int(np.sqrt(level.shape[0] * level.shape[1] / BLOCKS)))
-    blocks = [a.ravel() for a in flutter(level, step=step)]
+    if step != 1:
+        level = np.ascontiguousarray(level[::2, ::2])
+    apart = max(BLOCK, int(np.sqrt(level.shape[0] * level.shape[1] / BLOCKS)))
+    blocks = [a.ravel() for a in flutter(level, step=apart)]
     usable = np.isfinite(blocks[0])
     if usable.sum() < FEWEST_BLOCKS:
         return None
@@ -77,7 +82,11 @@ def grain_by_tone(level: UInt16) -> Grain | None:
     at, variance, trust = [], [], []
     for group in np.array_split(order, min(GROUPS, order.size // 15)):
         calm = group[np.argsort(near[group], kind="stable")[: max(3, round(CALMEST * group.size))]]
-        one, two, middle = near[calm].mean() / CALMEST_OF_WHITE, far[calm].mean(), light[calm].mean()
+        one, two, middle = (
+            near[calm].mean() / (CALMEST_OF_WHITE * roughness(step, apart=1 if step == 1 else 2) ** 2),
+            far[calm].mean(),
+            light[calm].mean(),
+        )
         least = (LEAST / 127.5) ** 2 * middle
         at.append(middle)
         grain = one - max(two - one, 0) / (TEXTURE_GROWS - 1)

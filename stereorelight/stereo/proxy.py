@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float32, Float64, UInt8, UInt16
+from stereorelight.engine.locking import roughness
 from stereorelight.engine.rows import at_once
 from stereorelight.engine.tone import LEVELS, codes, levels, median_twist, through_tables
 from stereorelight.errors import PlateError
@@ -38,20 +39,26 @@ def grey_of(picture: UInt8) -> Float32:
     return cv2.transform(picture, np.full((1, 3), 1 / 3)).astype(np.float32) if picture.ndim == 3 else picture.astype(np.float32)
 
 
-def grain_of(grey: Float32) -> float:
+def grain_of(grey: Float32, step: float = 1.0) -> float:
     """Standard deviation of the noise of a grey picture, grey levels: the median of a mask that knows no ramps (Immerkaer 1996), on a
-    sixteenth of the pixels."""
+    sixteenth of the pixels.
+
+    step : how far apart on the plate its pixels were taken; finer pixels hang together, and look calmer to the mask than they are.
+    """
     h, w = grey.shape
     twist = np.zeros((len(range(0, h - 2, 4)), len(range(0, w - 2, 4))), np.float32)
     for y, row in enumerate(((1, -2, 1), (-2, 4, -2), (1, -2, 1))):
         for x, share in enumerate(row):
             twist += np.float32(share) * grey[y : h - 2 + y : 4, x : w - 2 + x : 4]
-    return float(np.median(np.abs(twist))) / (0.6745 * 6) if twist.size else 0.0
+    return float(np.median(np.abs(twist))) / (0.6745 * 6 * roughness(step)) if twist.size else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proxy:
-    """Left and right as matchers want them: (H, W, 3) uint8 BGR, (H, W) float32 grey 0..255, and known pixels."""
+    """Left and right as matchers want them: (H, W, 3) uint8 BGR, (H, W) float32 grey 0..255, and known pixels.
+
+    steps : how far apart on its plate each eye's pixels were taken, in pixels of the plate.
+    """
 
     left: UInt8
     right: UInt8
@@ -59,6 +66,7 @@ class Proxy:
     right_grey: Float32
     left_known: Bool
     right_known: Bool
+    steps: tuple[float, float] = (1.0, 1.0)
 
     def flipped(self) -> Proxy:
         """The pair as seen in a mirror, eyes exchanged: matching it gives the right eye's disparity."""
@@ -69,6 +77,7 @@ class Proxy:
             right_grey=np.ascontiguousarray(self.left_grey[:, ::-1]),
             left_known=np.ascontiguousarray(self.right_known[:, ::-1]),
             right_known=np.ascontiguousarray(self.left_known[:, ::-1]),
+            steps=self.steps[::-1],
         )
 
     def calmed(self) -> Proxy:
@@ -95,7 +104,7 @@ class Proxy:
 
     @cached_property
     def _noise(self) -> float:
-        return median_twist(self.left, 1) / (0.6745 * 6)
+        return median_twist(self.left, 1) / (0.6745 * 6 * roughness(self.steps[0]))
 
 
 def _sample(picture: npt.NDArray[Number]) -> npt.NDArray[Number]:
@@ -150,15 +159,16 @@ def picture_of(plate: Float32, eye: str) -> UInt8:
     return codes(np.ascontiguousarray(plate), white=_white(plate, eye))
 
 
-def matching_proxy(left: Float32, right: Float32) -> Proxy:
+def matching_proxy(left: Float32, right: Float32, *, steps: tuple[float, float] = (1.0, 1.0)) -> Proxy:
     """8-bit pictures of one tone from rectified scene-linear plates (H, W, 3); NaN marks what the plate lacks.
 
+    steps  : how far apart on its plate each eye's pixels were taken, in pixels of the plate.
     Raises : PlateError when a plate has no known pixel or no light at all.
     """
     (left_level, left_known), (right_level, right_known) = at_once(
         lambda: levels(left, white=_white(left, "left")), lambda: levels(right, white=_white(right, "right"))
     )
-    of_left, of_right = at_once(lambda: grain_by_tone(left_level), lambda: grain_by_tone(right_level))
+    of_left, of_right = at_once(lambda: grain_by_tone(left_level, steps[0]), lambda: grain_by_tone(right_level, steps[1]))
     curve = even_tones([one for one in (of_left, of_right) if one is not None], left_level, calm=CALM)
     straight = np.linspace(0, 255, LEVELS, dtype=np.float32)
 
@@ -169,4 +179,6 @@ def matching_proxy(left: Float32, right: Float32) -> Proxy:
     (left_bgr, left_grey), (right_bgr, right_grey) = at_once(
         lambda: through_tables(left_level, _of_three(straight if curve is None else curve)), in_tones_of_left
     )
-    return Proxy(left=left_bgr, right=right_bgr, left_grey=left_grey, right_grey=right_grey, left_known=left_known, right_known=right_known)
+    return Proxy(
+        left=left_bgr, right=right_bgr, left_grey=left_grey, right_grey=right_grey, left_known=left_known, right_known=right_known, steps=steps
+    )

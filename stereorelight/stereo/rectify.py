@@ -14,7 +14,7 @@ import numpy as np
 
 from stereorelight.arrays import Float32, Float64, as_float32
 from stereorelight.camera import Camera, Eye, RectifiedRig, Rig
-from stereorelight.engine.resample import resample
+from stereorelight.engine.resample import EVEN, LANCZOS, resample
 from stereorelight.errors import PlateError, RigError
 
 FINER = 1.1  # of the plate's own resolution: resampling to the same one costs a tenth of the depth's accuracy
@@ -62,13 +62,23 @@ class Rectification:
             self._stretch[eye] = 1 / (source.rays(source.pixel_grid()) @ R[2])
         return self._stretch[eye]
 
+    def step(self, eye: Eye) -> float:
+        """How many pixels of the plate lie from one rectified pixel to the next, about the middle of the view; 1 where nothing is resampled."""
+        if self.identity:
+            return 1.0
+        source, target, R = self._cameras(eye)
+        middle = (np.array(target.size) - 1) / 2
+        pixels = source.project(target.rays(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])) @ R)
+        return float(np.sqrt(abs(np.linalg.det(pixels[1:] - pixels[0]))))
+
     def upright(self, picture: Float32, eye: Eye) -> Float32:
         """The eye's picture as its camera describes it: a mirrored eye is flipped back left-right."""
         return np.ascontiguousarray(picture[:, ::-1]) if self.original.mirrored == eye else picture
 
-    def rectify(self, picture: Float32, eye: Eye) -> Float32:
+    def rectify(self, picture: Float32, eye: Eye, *, to_match: bool = False) -> Float32:
         """An upright plate (H, W, C) on the rectified frame; NaN where the plate does not reach.
 
+        to_match : a little softer, and as soft everywhere, wherever the plate's pixels fall on the frame's.
         Raises : PlateError when the plate is not the camera's size.
         """
         camera = self.original.camera(eye)
@@ -80,7 +90,7 @@ class Rectification:
         picture = as_float32(picture, f"{eye} plate", channels=picture.shape[2] if picture.ndim == 3 else None)
         if self.identity:
             return picture
-        return resample(picture, self.original_from_rectified(eye))
+        return resample(picture, self.original_from_rectified(eye), EVEN if to_match else LANCZOS)
 
 
 def _already_rectified(rig: Rig) -> bool:

@@ -20,6 +20,7 @@ import numpy as np
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.bending import bend_energy, plate_correction, slopes
 from stereorelight.engine.edges import joined_to_sides, outlined, weighed_sides
+from stereorelight.engine.locking import locking_tables
 from stereorelight.engine.occlusion import background, unseen
 from stereorelight.engine.photometric import held_evidence, row_splines, spline_residual
 from stereorelight.engine.pyramid import doubled, halved
@@ -214,7 +215,8 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
 
     trust : (H, W) 0..1, weighs the evidence; nothing is asked of the right eye where it is `UNSEEN_TRUST` or less.
     """
-    grain2 = 0.5 * (grain_of(proxy.left_grey) ** 2 + grain_of(proxy.right_grey) ** 2)
+    grain2 = 0.5 * (grain_of(proxy.left_grey, proxy.steps[0]) ** 2 + grain_of(proxy.right_grey, proxy.steps[1]) ** 2)
+    tables = locking_tables(sum(proxy.steps) / 2)
     left_spline, right_spline = row_splines(proxy.left_grey), row_splines(proxy.right_grey)
     seen = Seen.where(trust > UNSEEN_TRUST)
 
@@ -223,9 +225,8 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
         residual, rate = less_local_means(*spline_residual(proxy.left_grey, left_spline, right_spline, d, seen.here), seen)
         few = residual[::4, ::4][seen.here[::4, ::4] > 0]
         usual = (2.2 * float(np.median(few * few)) if few.size else 0.0) + NOISE_FLOOR**2
-        weight, pull = held_evidence(
-            d, residual, rate, trust, seen, disparity, most2=9 * usual, floor2=NOISE_FLOOR**2, grain2=grain2, priors=(UNSEEN_PRIOR, PRIOR)
-        )
+        tuning = {"most2": 9 * usual, "floor2": NOISE_FLOOR**2, "grain2": grain2}
+        weight, pull = held_evidence(d, residual, rate, trust, seen, disparity, **tuning, tables=tables, priors=(UNSEEN_PRIOR, PRIOR))
         return weight, pull, _mean_weight(weight)
 
     d = disparity
