@@ -28,6 +28,9 @@ from stereorelight.surface.shading import Quality, judge_by_shading, refine_by_s
 from stereorelight.surface.shading_trust import Judged, ShotMaterials
 
 NOISE = "noise_per_m"  # header word: what 1/Z is at least off by from pixel to pixel (standard deviation), 1/metres
+# Of a matched depth's Z_sigma: by what shading holds to it.  Its errors are a surface's, smooth over many pixels, and so are those of a light that
+# is told a little wrong: held by less, a plain ball is bent by such a light (docs/shading.md).
+HELD_BY = 0.7
 FARTHEST_M = 1e5  # renderers write some huge number where there is nothing; no plate sees 100 km
 
 
@@ -172,7 +175,8 @@ def _evidence(surface: Frame, depth: Frame) -> tuple[Camera, dict[str, Any]]:
     camera = surface.camera
     if camera is None or "Z_sigma" not in depth:
         raise PassError("shading weighs a depth by its own standard deviation: it needs the passes Z_sigma and N_sigma, as `depth` writes them")
-    passes = {"Z_sigma": depth["Z_sigma"], "N": surface["N"], "N_sigma": surface.passes.get("N_sigma"), "confidence": depth.passes.get("confidence")}
+    held = np.float32(HELD_BY) * depth["Z_sigma"]
+    passes = {"Z_sigma": held, "N": surface["N"], "N_sigma": surface.passes.get("N_sigma"), "confidence": depth.passes.get("confidence")}
     return camera, passes
 
 
