@@ -18,7 +18,7 @@ from stereorelight.arrays import Bool, Float32, UInt16
 from stereorelight.engine.photometric import believed, brightness_residual
 from stereorelight.engine.rows import at_once, in_row_blocks
 from stereorelight.passes import Flag
-from stereorelight.stereo.proxy import Proxy, grain_of
+from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import Refined
 
 EVIDENCE = (
@@ -112,7 +112,7 @@ def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | No
     def seen() -> tuple[Float32, Float32]:
         mean = cv2.blur(residual, MISFIT)
         left_over = np.maximum(cv2.blur(residual * residual, MISFIT) - mean * mean, np.float32(0))
-        grain = max(grain_of(proxy.left_grey, proxy.steps[0]), LEAST_GRAIN)
+        grain = max(proxy.grains[0], LEAST_GRAIN)
         speaks = _lands_on_plate(d, proxy.right_known) & proxy.left_known & ~refined.unseen
         other = np.where(speaks, proxy.left_grey - residual, proxy.left_grey)  # what one eye alone can see speaks neither way
         return left_over / np.float32(2 * grain * grain), alone(proxy.left_grey, other, grain)

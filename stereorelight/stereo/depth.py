@@ -189,7 +189,7 @@ def recover(
     draft = settings.quality == "draft" and min(views[0].shape[:2]) >= 2 * DRAFT_SMALLEST_PX
     shown = at_once(lambda: half_view(views[0]), lambda: half_view(views[1])) if draft else views
     steps = (1.0, 1.0) if draft else (rectification.step("left"), rectification.step("right"))
-    proxy = matching_proxy(*shown, steps=steps)
+    proxy = matching_proxy(*shown, steps=steps, even=not draft)
 
     def opinion() -> FlowMatch | None:
         return None if settings.quality == "draft" else flow_disparity(proxy if eye == "left" else proxy.flipped())
@@ -201,7 +201,7 @@ def recover(
     colour = None
     if match_colour != "off":
         mended, colour = colour_matched(*shown, mode=match_colour, disparity=coarse_disparity(proxy, search))
-        proxy = matching_proxy(shown[0], mended, steps=steps)
+        proxy = matching_proxy(shown[0], mended, steps=steps, even=not draft)
         flow = opinion()
     if search.count > proxy.left.shape[1]:
         wide, reach = views[0].shape[1], search.doubled() if draft else search

@@ -103,6 +103,11 @@ class Proxy:
         return self._noise
 
     @cached_property
+    def grains(self) -> tuple[float, float]:
+        """Standard deviation of the noise of either grey picture, grey levels (`grain_of`)."""
+        return at_once(lambda: grain_of(self.left_grey, self.steps[0]), lambda: grain_of(self.right_grey, self.steps[1]))
+
+    @cached_property
     def _noise(self) -> float:
         return median_twist(self.left, 1) / (0.6745 * 6 * roughness(self.steps[0]))
 
@@ -159,17 +164,18 @@ def picture_of(plate: Float32, eye: str) -> UInt8:
     return codes(np.ascontiguousarray(plate), white=_white(plate, eye))
 
 
-def matching_proxy(left: Float32, right: Float32, *, steps: tuple[float, float] = (1.0, 1.0)) -> Proxy:
+def matching_proxy(left: Float32, right: Float32, *, steps: tuple[float, float] = (1.0, 1.0), even: bool = True) -> Proxy:
     """8-bit pictures of one tone from rectified scene-linear plates (H, W, 3); NaN marks what the plate lacks.
 
     steps  : how far apart on its plate each eye's pixels were taken, in pixels of the plate.
+    even   : in tones in which their grain is as strong everywhere, where it is uneven.
     Raises : PlateError when a plate has no known pixel or no light at all.
     """
     (left_level, left_known), (right_level, right_known) = at_once(
         lambda: levels(left, white=_white(left, "left")), lambda: levels(right, white=_white(right, "right"))
     )
-    of_left, of_right = at_once(lambda: grain_by_tone(left_level, steps[0]), lambda: grain_by_tone(right_level, steps[1]))
-    curve = even_tones([one for one in (of_left, of_right) if one is not None], left_level, calm=CALM)
+    grains = at_once(lambda: grain_by_tone(left_level, steps[0]), lambda: grain_by_tone(right_level, steps[1])) if even else ()
+    curve = even_tones([one for one in grains if one is not None], left_level, calm=CALM)
     straight = np.linspace(0, 255, LEVELS, dtype=np.float32)
 
     def in_tones_of_left() -> tuple[UInt8, Float32]:

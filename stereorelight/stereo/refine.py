@@ -28,7 +28,7 @@ from stereorelight.engine.refine import blended, robust_planes
 from stereorelight.engine.rows import at_once
 from stereorelight.engine.windows import Seen, less_local_means
 from stereorelight.stereo.hints import on_matte_edge
-from stereorelight.stereo.proxy import Proxy, grain_of
+from stereorelight.stereo.proxy import Proxy
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,7 +92,7 @@ class Effort:
 
 
 EFFORTS = {
-    "draft": Effort(passes=1, rounds=1, steps=5, last=5, radius=6, stride=4, tau_px=0.5),
+    "draft": Effort(passes=1, rounds=1, steps=4, last=4, radius=6, stride=4, tau_px=0.5),
     "standard": Effort(passes=1, rounds=4, steps=12, last=6, finest=1),
     "fine": Effort(passes=2, rounds=4, steps=20, last=10, blends=2),
 }
@@ -215,7 +215,7 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
 
     trust : (H, W) 0..1, weighs the evidence; nothing is asked of the right eye where it is `UNSEEN_TRUST` or less.
     """
-    grain2 = 0.5 * (grain_of(proxy.left_grey, proxy.steps[0]) ** 2 + grain_of(proxy.right_grey, proxy.steps[1]) ** 2)
+    grain2 = 0.5 * sum(grain**2 for grain in proxy.grains)
     tables = locking_tables(sum(proxy.steps) / 2)
     left_spline, right_spline = row_splines(proxy.left_grey), row_splines(proxy.right_grey)
     seen = Seen.where(trust > UNSEEN_TRUST)
