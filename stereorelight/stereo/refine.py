@@ -103,6 +103,7 @@ EDGE_PX = 4  # how far from a step a pixel may be on the wrong side of it
 SIDE_PX = 6  # even; how far to look for the two sides of a step
 FATTENING_PX = 3  # how far matching carries a near surface past its outline
 NOISE_FLOOR = 0.7  # grey levels: quantisation and resampling leave no less
+BESIDE_PX = 3  # of hidden ground: so far an outline reaches in an interpolated row
 UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.1
 PRIOR = 0.02  # weight of the matched disparity where the pictures say nothing, 1/px^2: its errors hang together over many pixels
 UNSEEN_PRIOR = 0.0005  # and of background copied along a row: enough to hold the level, too little to print rows
@@ -218,7 +219,9 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
     grain2 = 0.5 * sum(grain**2 for grain in proxy.grains)
     tables = locking_tables(sum(proxy.steps) / 2)
     left_spline, right_spline = row_splines(proxy.left_grey), row_splines(proxy.right_grey)
-    seen = Seen.where(trust > UNSEEN_TRUST)
+    both = (trust > UNSEEN_TRUST).view(np.uint8)
+    # What hides ground stands to the right of it in the left eye, and right beside it in the other: there, its outline is what is looked at.
+    seen = Seen.where(cv2.erode(both, np.ones((1, 1 + BESIDE_PX), np.uint8), anchor=(0, 0)) > 0)
 
     def evidence(d: Float32) -> tuple[Float32, Float32, Float32]:
         # A difference of brightness over a neighbourhood is exposure, not disparity.
