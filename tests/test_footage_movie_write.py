@@ -275,7 +275,8 @@ def test_frames_are_asked_for_one_at_a_time_and_let_go(tmp_path: Path) -> None:
         return most
 
     peak(2)
-    assert peak(60) < peak(6) + 2 * ramp(*size).nbytes
+    # The least of three: whatever else the process allocates meanwhile is counted, too.
+    assert min(peak(60) for _ in range(3)) < peak(6) + 2 * ramp(*size).nbytes
 
 
 def flat(value: int, w: int = 64, h: int = 36) -> np.ndarray:
