@@ -200,6 +200,15 @@ def test_motorcycle(real, quality, bad2, bad2_all, bad05, normals_deg, under) ->
     assert figures.normals.under_percent[11.25] >= under
 
 
+def test_hidden_ground_goes_on_flat_beside_an_outline() -> None:
+    """A wall behind a card: in the other eye its last seen pixels lie right beside the card's outline, which must not tilt what is hidden."""
+    made, rectified = shot("two_planes", "parallel", size=(640, 360))
+    error = disparity_error(made, recover(*plates(made, rectified), rectified).frame["Z"])
+    hidden = (made.left["flags"] != 0) & (np.arange(640) > 100)  # not what the other frame does not hold
+    assert hidden.sum() > 3000
+    assert np.median(error[hidden]) < 0.15
+
+
 def test_motorcycle_confidence_tells_the_truth(real) -> None:
     """Fitted on synthetic shots alone; within 0.1 of the measured share in every bin that holds 1 % of the pixels."""
     pair, got = motorcycle(), real["standard"].rectified

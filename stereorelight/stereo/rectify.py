@@ -63,13 +63,13 @@ class Rectification:
         return self._stretch[eye]
 
     def step(self, eye: Eye) -> float:
-        """How many pixels of the plate lie from one rectified pixel to the next, about the middle of the view; 1 where nothing is resampled."""
+        """How many pixels of the plate lie from one rectified pixel to the next, about the middle of the plate; 1 where nothing is resampled."""
         if self.identity:
             return 1.0
         source, target, R = self._cameras(eye)
-        middle = (np.array(target.size) - 1) / 2
-        pixels = source.project(target.rays(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])) @ R)
-        return float(np.sqrt(abs(np.linalg.det(pixels[1:] - pixels[0]))))
+        middle = (np.array(source.size) - 1) / 2
+        pixels = target.project(source.rays(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])) @ R.T)
+        return float(1 / np.sqrt(abs(np.linalg.det(pixels[1:] - pixels[0]))))
 
     def upright(self, picture: Float32, eye: Eye) -> Float32:
         """The eye's picture as its camera describes it: a mirrored eye is flipped back left-right."""
