@@ -51,6 +51,16 @@ def test_no_grain_is_told_of_clean_plates_and_none_of_black_ones() -> None:
     )
 
 
+@pytest.mark.parametrize("sigma_px", [0.8, 1.0])
+def test_texture_that_is_everywhere_is_no_grain(sigma_px: float) -> None:
+    """It flutters more over two pixels than over one, as white grain does not."""
+    texture = cv2.GaussianBlur(np.random.default_rng(4).random((400, 600), dtype=np.float32), (0, 0), sigma_px)
+    light = np.clip(0.3 + 0.08 * (texture - texture.mean()) / texture.std(), 0.01, 0.95).astype(np.float32)
+    grain = grain_by_tone(levels(np.repeat(light[..., None], 3, axis=-1), white=1.0)[0])
+    assert grain is not None
+    assert grain.floor + 0.3 * grain.shot < 0.002**2
+
+
 def test_flutter_is_the_variance_of_white_grain_whatever_the_ramp() -> None:
     y, x = np.mgrid[:200, :300]
     ramp = np.repeat((0.3 + 0.001 * x + 0.0005 * y)[..., None], 3, axis=2).astype(f4)
