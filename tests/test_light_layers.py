@@ -31,6 +31,7 @@ from stereorelight.engine import (
     other_lights,
     plain_lights,
     rows,
+    spread,
     stream,
 )
 from stereorelight.engine import light as engine
@@ -497,6 +498,25 @@ def test_layers_past_the_caches_hold_the_same_bits(monkeypatch: pytest.MonkeyPat
         assert layer.any()
 
 
+@pytest.mark.parametrize("exponent", [1, 2, 7, 32, 64, 65, 127])
+def test_one_light_alone_keeps_its_highlight_exact(exponent: int) -> None:
+    """Its loop takes R.V straight from dot products, up to an exponent that bears what they lose; beyond it, it is not asked."""
+    camera = Camera.from_fov(50, (256, 64))
+    rng = np.random.default_rng(exponent)
+    light = PointLight(name="a", position_m=(1, 1, 0), specular=1, exponent=exponent)
+    Z = rng.uniform(1, 5, camera.size_hw).astype(np.float32)
+    P = position_from_depth(Z, camera).astype(np.float64)
+    towards, back = np.array(light.position_m) - P, -P
+    half = towards / np.linalg.norm(towards, axis=-1, keepdims=True) + back / np.linalg.norm(back, axis=-1, keepdims=True)
+    half = half / np.linalg.norm(half, axis=-1, keepdims=True) + 0.3 / exponent**0.5 * rng.normal(size=half.shape)  # within the highlight
+    N = (half / np.linalg.norm(half, axis=-1, keepdims=True)).astype(np.float32)
+    plate = np.zeros_like(N)
+    want = reference_layers(P, N.astype(np.float64), plate.astype(np.float64), [light])["light_a_specular"]
+    apart = np.abs(relight_fused(plate, Z, N, camera, [light]) - want)
+    assert want.max() > 0.1
+    assert apart.max() < 3e-5 * want.max()
+
+
 def test_the_cached_kernels_are_those_of_todays_files() -> None:
     """numba hashes a kernel's own file only: with another fastmath.py the disk cache would go on with the old mathematics."""
     pairs = (
@@ -515,6 +535,8 @@ def test_the_cached_kernels_are_those_of_todays_files() -> None:
         (lobe_rows, "LOBE_LEAVES", other_lights),
         (ball_rows, "BALL_LEAVES", other_lights),
         (fastmath, "FASTMATH", stream),
+        (fastmath, "FASTMATH", spread),
+        (spread, "SPREAD", plain_lights),
         (stream, "STREAM", plain_lights),
         (stream, "STREAM", other_lights),
         (fastmath, "FASTMATH", march_rays),

@@ -85,7 +85,7 @@ def shade(
             room.pane = np.empty(3 * STRIP, np.float32)
         if len(plain_rows) or not len(other_rows):
             plain.plain_lights(
-                room.rows, room.pane, streams, first, end, *where, plain_rows, plain_slots, mattes, flat_layers, flat_plate, gains, flat_beauty,
+                room.rows, streams, first, end, *where, plain_rows, plain_slots, mattes, flat_layers, flat_plate, gains, flat_beauty,
                 beauty is not None, albedo is plate,
             )  # fmt: skip
         if len(other_rows):

@@ -32,14 +32,16 @@ from stereorelight.engine.light_table import (
     WRAP_OFFSET,
     WRAP_SCALE,
 )
-from stereorelight.engine.one_light import one_light
-from stereorelight.engine.stream import stream, streamed
+from stereorelight.engine.one_light import MOST_DOTS, one_light
+from stereorelight.engine.spread import ROOM, TONES, layer_row, paint, relit_row
+from stereorelight.engine.stream import streamed
 
 # As in light_rows.py: this file must change whenever these do.
 LEAVES = "98543cc027d8cdb4"
-ONE = "62e7b0290aed29cc"
+ONE = "75840f2a9315b116"
 TABLE = "909ff10c55dd6268"
 STREAM = "8a555a433ab59bd6"
+SPREAD = "8817a3e45f76c89f"
 SUMS = 13  # the first of six rows for sums
 ROWS = 24  # of a strip, see below
 
@@ -120,33 +122,31 @@ def phong_light(n, unit, q, least, px, py, pz, nx, ny, nz, vx, vy, vz, lit, e, h
 
 @kernel()
 def plain_lights(
-    T, pane, streams, first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, layers, plate, gain,
+    T, streams, first, end, has_P, has_rays, P, Z, rays, N, fx, fy, cx, cy, albedo, lights, slots, mattes, layers, plate, gain,
     beauty, to_beauty, own_albedo,
 ):  # fmt: skip
     """Rows first..end.  P, N, albedo, plate, beauty are (H, 3 W); rays (H, 2 W); layers (slots, H, 3 W); mattes (k, H, W).
 
-    T : (ROWS, STRIP + PADDING), room for one strip's rows;  pane : (3 STRIP,), where a layer's row is made before it is streamed, where `streams`."""
+    T : (ROWS, STRIP + PADDING), room for one strip's rows;  streams : whether layers go past the caches."""
     W = N.shape[1] // 3
     count = lights.shape[0]
-    tail = np.zeros((5, 3 * VECTOR), np.float32)
+    tail = np.zeros((3, 3 * VECTOR), np.float32)
     px, py, pz, nx, ny, nz, vx, vy, vz, known = T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9]
     lit, e, s, dr, dg, db, sr, sg, sb, h, front = T[10], T[11], T[12], T[13], T[14], T[15], T[16], T[17], T[18], T[19], T[20]
     rx, ry, ones = T[21], T[22], T[23]
     columns = leaf.pinhole_columns(W + VECTOR, fx, cx)
     unit = unit_of(tail)
     least = np.empty(count, np.float32)
+    tones, room = np.empty((count, TONES), np.float32), np.zeros(ROOM, np.float32)
     for k in range(count):
-        least[k] = least_base(lights[k, EXPONENT])
+        q = lights[k]
+        least[k] = least_base(q[EXPONENT])
+        paint(gain, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], tones[k])
     q = lights[0] if count > 0 else gain
     alone = count == 1 and to_beauty and own_albedo and not has_P
-    up, bit = np.zeros(6, np.bool_), np.zeros(6, np.bool_)
+    glows = alone and q[SPECULAR] + q[SPECULAR + 1] + q[SPECULAR + 2] > f4(0)
     if alone:
-        dark = q[SPECULAR] + q[SPECULAR + 1] + q[SPECULAR + 2] == f4(0)
-        alone = q[WINDOW] == f4(0) and q[PER_ANGLE] == f4(0) and (dark or squares(q[EXPONENT]))
-        exponent = int(q[EXPONENT]) if alone and not dark else 1
-        for k in range(6):
-            up[k] = exponent >> (k + 1) > 0
-            bit[k] = up[k] and (exponent >> k) & 1 > 0
+        alone = q[WINDOW] == f4(0) and q[PER_ANGLE] == f4(0) and (not glows or (squares(q[EXPONENT]) and q[EXPONENT] <= f4(MOST_DOTS)))
         leaf.fill(STRIP + VECTOR, f4(1), ones)
     for y in range(first, end):
         for x in range(0, W, STRIP):
@@ -166,8 +166,6 @@ def plain_lights(
                         continue
                     Ns = N[y, strip] if part == 0 else leaf.padded(N[y, 3 * (x + i) : 3 * (x + m)], tail[0])
                     Zs = Z[y, x : x + m] if part == 0 else leaf.padded(Z[y, x + i : x + m], tail[1])
-                    ps = plate[y, strip] if part == 0 else leaf.padded(plate[y, 3 * (x + i) : 3 * (x + m)], tail[3])
-                    out = beauty[y, strip] if part == 0 else tail[4]
                     if has_rays:
                         rs = rays[y, 2 * x : 2 * (x + m)] if part == 0 else leaf.padded(rays[y, 2 * (x + i) : 2 * (x + m)], tail[2])
                         leaf.taken_apart(width, rs, rx, ry)
@@ -175,14 +173,14 @@ def plain_lights(
                         leaf.fill(width, (cy - f4(y)) / fy, ry)
                     xs = rx if has_rays else columns[x + i :]
                     one_light(
-                        width, xs, ry, shown[i:], Zs, Ns, ps, gain[0], gain[1], gain[2], q[0], q[1], q[2], q[IS_PLACE], q[WRAP_SCALE], q[WRAP_OFFSET],
-                        q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE], least[0],
-                        up[5], up[4], up[3], up[2], up[1], up[0], bit[5], bit[4], bit[3], bit[2], bit[1], bit[0],
-                        q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2],
-                        q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], e[i:], s[i:], out,
+                        width, xs, ry, shown[i:], Zs, Ns, q[0], q[1], q[2], q[IS_PLACE], q[WRAP_SCALE], q[WRAP_OFFSET],
+                        q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE], e[i:], h[i:], front[i:],
                     )  # fmt: skip
-                    if part == 1:
-                        leaf.padded(tail[4][: 3 * (m - whole)], beauty[y, 3 * (x + i) : 3 * (x + m)])
+                if glows:
+                    leaf.lobe_whole(n, int(q[EXPONENT]), least[0], h, front, s)
+                else:
+                    leaf.fill(n, f4(0), s)
+                relit_row(m, e, s, plate[y, strip], tones[0], room, beauty[y, strip])
             else:
                 surface(y, x, m, n, has_P, has_rays, P, Z, rays, N, columns, fy, cy, tail, rx, ry, px, py, pz, nx, ny, nz, vx, vy, vz, known)
             if to_beauty and not alone:
@@ -212,13 +210,7 @@ def plain_lights(
                     slot = slots[k, DIFFUSE_SLOT] if part == 0 else slots[k, SPECULAR_SLOT]
                     if slot < 0:
                         continue
-                    into = pane if streams else layers[slot, y, strip]
-                    if part == 0:
-                        leaf.write_diffuse(m, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], albedo[y, strip], into)
-                    else:
-                        leaf.write_specular(m, s, q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], into)
-                    if streams:
-                        stream(3 * m, pane, layers[slot, y, strip])
+                    layer_row(m, streams, part == 0, e if part == 0 else s, albedo[y, strip], tones[k], room, layers[slot, y, strip])
             if to_beauty and not alone:
                 if own_albedo:
                     leaf.write_relit_plate(m, plate[y, strip], gain[0], gain[1], gain[2], dr, dg, db, sr, sg, sb, beauty[y, strip])
