@@ -41,7 +41,7 @@ LEAVES = "98543cc027d8cdb4"
 ONE = "75840f2a9315b116"
 TABLE = "909ff10c55dd6268"
 STREAM = "8a555a433ab59bd6"
-SPREAD = "8817a3e45f76c89f"
+SPREAD = "da830ec7c320a773"
 SUMS = 13  # the first of six rows for sums
 ROWS = 24  # of a strip, see below
 

@@ -8,6 +8,8 @@ code in a small room, so a pixel's bits do not depend on where its row was cut."
 
 from __future__ import annotations
 
+from typing import Any
+
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
 from numba.core import cgutils
@@ -30,34 +32,34 @@ _PIXELS = [[0, 0, 0, 1, 1, 1, 2, 2], [2, 3, 3, 3, 4, 4, 4, 5], [5, 5, 6, 6, 6, 7
 class _Rows:
     """Vectors from and to flat rows, inside an intrinsic."""
 
-    def __init__(self, context, builder, signature, args) -> None:
+    def __init__(self, context: Any, builder: Any, signature: Any, args: Any) -> None:
         self.builder, self.context = builder, context
         self.data = [
             context.make_array(kind)(context, builder, array).data if isinstance(kind, types.Array) else array
             for kind, array in zip(signature.args, args)
         ]
 
-    def place(self, row: int, index, part: int = 0):
+    def place(self, row: int, index: Any, part: int = 0) -> Any:
         at = self.builder.add(index, ir.Constant(ir.IntType(64), GROUP * part))
         return self.builder.bitcast(self.builder.gep(self.data[row], [at]), _GROUP.as_pointer())
 
-    def read(self, row: int, index, part: int = 0):
+    def read(self, row: int, index: Any, part: int = 0) -> Any:
         return self.builder.load(self.place(row, index, part), align=4)
 
-    def tone(self, row: int, which: int, part: int):
+    def tone(self, row: int, which: int, part: int) -> Any:
         return self.read(row, ir.Constant(ir.IntType(64), VALUES * which), part)
 
-    def spread(self, strengths, part: int):
+    def spread(self, strengths: Any, part: int) -> Any:
         mask = ir.Constant(ir.VectorType(ir.IntType(32), GROUP), _PIXELS[part])
         return self.builder.shuffle_vector(strengths, ir.Constant(_GROUP, ir.Undefined), mask)
 
-    def given_back(self, color, light):
+    def given_back(self, color: Any, light: Any) -> Any:
         """color * light, 0 where the colour is none."""
         size = cgutils.get_or_insert_function(self.builder.module, ir.FunctionType(_GROUP, [_GROUP]), "llvm.fabs.v8f32")
         is_one = self.builder.fcmp_ordered("<", self.builder.call(size, [color]), ir.Constant(_GROUP, [MOST] * GROUP))
         return self.builder.select(is_one, self.builder.fmul(color, light, flags=_FUSED), ir.Constant(_GROUP, [0.0] * GROUP))
 
-    def write(self, row: int, index, part: int, value, past_caches: bool) -> None:
+    def write(self, row: int, index: Any, part: int, value: Any, past_caches: bool) -> None:
         store = self.builder.store(value, self.place(row, index, part), align=4 * GROUP if past_caches else 4)
         if past_caches:
             store.set_metadata("nontemporal", self.builder.module.add_metadata([ir.Constant(ir.IntType(32), 1)]))
@@ -81,7 +83,7 @@ def _relit(typingctx, e, s, i, plate, at, tones, out, to):
     return types.void(e, s, i, plate, at, tones, out, to), body
 
 
-def _layer_of(past_caches: bool, diffuse: bool):
+def _layer_of(past_caches: bool, diffuse: bool) -> Any:
     """The intrinsic that makes a group of a diffuse or a specular layer, to memory that begins with a vector where `past_caches`."""
 
     @intrinsic
