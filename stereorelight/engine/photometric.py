@@ -16,6 +16,7 @@ from stereorelight.engine.windows import Seen, row_sum_square_9
 f4 = np.float32
 i4 = np.int32
 _leaf = kernel(fastmath=False, noalias=True)
+PLACED2 = f4(0.05**2)  # px^2: how well a pixel's own place is known at all, between lenses, samples and splines
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -141,8 +142,11 @@ def _evidence_row(disparity, residual, rate, left2, floor2, rate2, trust, grain2
         k *= trust[x] * real
         # Only grain, new in every pixel, draws to half pixels: no floor of the noise does, and nothing else that the eyes differ by.
         white = min(grain2 * noise[t], left2[x]) / n2
-        weight[x] = g * g / n2 * k * real
-        pull[x] = (g * e / n2 - (locking[t] * white if g != f4(0) else f4(0))) * k
+        w = g * g / n2 * k * real
+        # However steep a pixel is, it is no surer than its place: one edge says no more than some texture.
+        least = f4(1) / (f4(1) + PLACED2 * w)
+        weight[x] = w * least
+        pull[x] = (g * e / n2 - (locking[t] * white if g != f4(0) else f4(0))) * k * least
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -183,8 +187,8 @@ def photometric_evidence(
     noise2, rate2  : (H, W) local mean squares of both, grey levels squared; noise2 > 0.   trust : (H, W) 0..1.
     grain2         : variance of either picture's white grain, grey levels squared; all of the noise is, where that is no less.
     tables         : of `locking_tables`; left out, those of white grain.
-    A residual three times the local noise counts a quarter.  What noise alone adds to the slope, and the pull of grain towards
-    half pixels, are taken off.
+    A residual three times the local noise counts a quarter, and no pixel is surer of its place than `PLACED2`.  What noise alone adds to the
+    slope, and the pull of grain towards half pixels, are taken off.
     """
     weight, pull = np.empty_like(disparity), np.empty_like(disparity)
     given = (disparity, residual, rate, noise2, rate2, trust, f4(grain2), *(tables or locking_tables(1.0)), weight, pull)

@@ -97,6 +97,7 @@ def refined_with_evidence(
             useful = ~known & (np.abs(flow.disparity - dense) <= 2 * settings.consistency_px)
         dense = np.where(useful, flow.disparity, dense)
         known |= useful
+    proxy = proxy.toned(found.dense, confirmed)
     subject = None if hints is None else hints.subject
     ignore = None if hints is None else hints.ignore
     if ignore is not None:

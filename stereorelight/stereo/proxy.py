@@ -9,20 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from stereorelight.arrays import Bool, Float32, Float64, UInt8, UInt16
+from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.locking import roughness
 from stereorelight.engine.rows import at_once
 from stereorelight.engine.tone import LEVELS, codes, levels, median_twist, through_tables
 from stereorelight.errors import PlateError
 from stereorelight.stereo.grain import even_tones, grain_by_tone
+from stereorelight.stereo.tones import Tones, sample, tables_of_pairs, tone_tables
 
-Number = TypeVar("Number", np.float32, np.uint16)
 CALM = 2.0  # grey levels of noise that matching bears without a filter
 CALM_WINDOW, CALM_RADIUS = 7, 2.0  # px
 CALM_TONES = 4.6  # times the noise: what differs by more is an edge
@@ -30,8 +28,6 @@ AGAIN_WINDOW, AGAIN_RADIUS = 5, 1.2  # px, once edges are known: small, since wh
 AGAIN_TONES = 0.5  # times the noise, of the grey that is calm already
 WHITE_QUANTILE = 0.99
 HEADROOM = 1.25  # white lies this much above that quantile
-QUANTILES = 256
-SAMPLES = 20_000  # pixels looked at for statistics: enough for a quantile to a fifth of a grey level
 
 
 def grey_of(picture: UInt8) -> Float32:
@@ -58,6 +54,7 @@ class Proxy:
     """Left and right as matchers want them: (H, W, 3) uint8 BGR, (H, W) float32 grey 0..255, and known pixels.
 
     steps : how far apart on its plate each eye's pixels were taken, in pixels of the plate.
+    tones : what the greys were made of, where that is known.
     """
 
     left: UInt8
@@ -67,6 +64,7 @@ class Proxy:
     left_known: Bool
     right_known: Bool
     steps: tuple[float, float] = (1.0, 1.0)
+    tones: Tones | None = None
 
     def flipped(self) -> Proxy:
         """The pair as seen in a mirror, eyes exchanged: matching it gives the right eye's disparity."""
@@ -78,7 +76,19 @@ class Proxy:
             left_known=np.ascontiguousarray(self.right_known[:, ::-1]),
             right_known=np.ascontiguousarray(self.left_known[:, ::-1]),
             steps=self.steps[::-1],
+            tones=None if self.tones is None else self.tones.flipped(),
         )
+
+    def toned(self, disparity: Float32, seen: Bool) -> Proxy:
+        """The same with the right eye's tones by what both eyes see: where a disparity (H, W) px of the left eye is `seen` (H, W) to be right."""
+        tables = None if self.tones is None else tables_of_pairs(self.tones, disparity, seen)
+        if self.tones is None or tables is None:
+            return self
+        right, right_grey = through_tables(self.tones.levels[1], tables)
+        made = replace(self, right=right, right_grey=right_grey, tones=replace(self.tones, tables=(self.tones.tables[0], tables)))
+        if "_noise" in self.__dict__:  # of the left eye
+            made.__dict__["_noise"] = self._noise
+        return made
 
     def calmed(self) -> Proxy:
         """The same with its grain taken out of the 8-bit pictures, edges kept, where there is more of it than matching bears.
@@ -112,12 +122,6 @@ class Proxy:
         return median_twist(self.left, 1) / (0.6745 * 6 * roughness(self.steps[0]))
 
 
-def _sample(picture: npt.NDArray[Number]) -> npt.NDArray[Number]:
-    """About `SAMPLES` of the pixels, evenly spread, as (n, 3)."""
-    step = max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / SAMPLES)))
-    return picture[::step, ::step].reshape(-1, 3)
-
-
 def _brightest(pixels: Float32) -> Float32:
     """The brightest channel of each known pixel of (n, 3)."""
     light: Float32 = np.maximum(np.maximum(pixels[:, 0], pixels[:, 1]), pixels[:, 2])
@@ -125,7 +129,7 @@ def _brightest(pixels: Float32) -> Float32:
 
 
 def _white(picture: Float32, eye: str) -> float:
-    light = _brightest(_sample(picture))
+    light = _brightest(sample(picture))
     if light.size == 0:  # hardly anything is known: look at every pixel
         light = _brightest(picture.reshape(-1, 3))
         if light.size == 0:
@@ -134,24 +138,6 @@ def _white(picture: Float32, eye: str) -> float:
     if not white > 0:
         raise PlateError(f"{eye} plate is black nearly everywhere; check exposure and colour space")
     return white * HEADROOM
-
-
-def _level_at(values: UInt16, share: Float64) -> Float64:
-    """Levels below which these shares of `values` lie, by counting."""
-    count = np.cumsum(np.bincount(values, minlength=LEVELS)) / values.size
-    return np.interp(share, count + np.arange(LEVELS) * 1e-12, np.arange(LEVELS))
-
-
-def tone_tables(picture: UInt16, target: UInt16) -> Float32:
-    """(3, LEVELS) tables that give `picture` the distribution of tones of `target`, by matching quantiles per channel."""
-    at = np.linspace(0, 1, QUANTILES)
-    mine, theirs = _sample(picture), _sample(target)
-    tables = []
-    for c in range(3):
-        # Rising positions for np.interp: equal quantiles (clipped areas) are set apart by far less than a level.
-        positions = _level_at(mine[:, c], at) + np.arange(QUANTILES) * 1e-6
-        tables.append(np.interp(np.arange(LEVELS), positions, _level_at(theirs[:, c], at)))
-    return (np.stack(tables) * (255 / (LEVELS - 1))).astype(np.float32)
 
 
 def _of_three(curve: Float32) -> Float32:
@@ -178,13 +164,21 @@ def matching_proxy(left: Float32, right: Float32, *, steps: tuple[float, float] 
     curve = even_tones([one for one in grains if one is not None], left_level, calm=CALM)
     straight = np.linspace(0, 255, LEVELS, dtype=np.float32)
 
-    def in_tones_of_left() -> tuple[UInt8, Float32]:
-        tables = tone_tables(right_level, left_level)
-        return through_tables(right_level, tables if curve is None else np.interp(tables, straight, curve).astype(np.float32))
+    own = _of_three(straight if curve is None else curve)
 
-    (left_bgr, left_grey), (right_bgr, right_grey) = at_once(
-        lambda: through_tables(left_level, _of_three(straight if curve is None else curve)), in_tones_of_left
-    )
+    def in_tones_of_left() -> tuple[UInt8, Float32, Float32]:
+        tables = tone_tables(right_level, left_level)
+        tables = tables if curve is None else np.interp(tables, straight, curve).astype(np.float32)
+        return *through_tables(right_level, tables), tables
+
+    (left_bgr, left_grey), (right_bgr, right_grey, tables) = at_once(lambda: through_tables(left_level, own), in_tones_of_left)
     return Proxy(
-        left=left_bgr, right=right_bgr, left_grey=left_grey, right_grey=right_grey, left_known=left_known, right_known=right_known, steps=steps
+        left=left_bgr,
+        right=right_bgr,
+        left_grey=left_grey,
+        right_grey=right_grey,
+        left_known=left_known,
+        right_known=right_known,
+        steps=steps,
+        tones=Tones(levels=(left_level, right_level), tables=(own, tables)),
     )

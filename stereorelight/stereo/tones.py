@@ -1,0 +1,91 @@
+"""One eye's tones given to the other, channel by channel: by all that either eye sees, and then by what both of them see.
+
+In: tone levels (H, W, 3) uint16.  Out: tables (3, LEVELS) float32.
+Curves come from equal shares: the level below which a tenth of one eye's pixels lie is that below which a tenth of the other's do.  That needs no
+match, but what only one eye sees tilts a curve, here up and there down; a tilt of 5 % leaves 5 % of all texture between the eyes, where there is no
+disparity.  Once there is a match, shares of points that both eyes see take its place: they have no such tilt, and noise, alike in both eyes,
+gives them none, as it would give a regression."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from stereorelight.arrays import Bool, Float32, Float64, UInt16
+from stereorelight.engine.tone import LEVELS
+
+Number = TypeVar("Number", np.float32, np.uint16)
+QUANTILES = 256
+SAMPLES = 20_000  # pixels looked at for statistics: enough for a quantile to a fifth of a grey level
+PAIRS = 120_000  # of points that both eyes see
+FEWEST_PAIRS = 4_000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tones:
+    """Where the greys of a pair come from, left and right: levels (H, W, 3) uint16 BGR, and tables (3, LEVELS) float32 of grey levels 0..255."""
+
+    levels: tuple[UInt16, UInt16]
+    tables: tuple[Float32, Float32]
+
+    def flipped(self) -> Tones:
+        """Those of the pair as seen in a mirror."""
+        left, right = (np.ascontiguousarray(a[:, ::-1]) for a in self.levels)
+        return Tones(levels=(right, left), tables=self.tables[::-1])
+
+
+def sample(picture: npt.NDArray[Number]) -> npt.NDArray[Number]:
+    """About `SAMPLES` of the pixels, evenly spread, as (n, 3)."""
+    step = max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / SAMPLES)))
+    return picture[::step, ::step].reshape(-1, 3)
+
+
+def _level_at(values: UInt16, share: Float64) -> Float64:
+    """Levels below which these shares of `values` lie, by counting."""
+    count = np.cumsum(np.bincount(values, minlength=LEVELS)) / values.size
+    return np.interp(share, count + np.arange(LEVELS) * 1e-12, np.arange(LEVELS))
+
+
+def equal_shares(mine: UInt16, theirs: UInt16) -> Float64:
+    """(3, LEVELS) levels of theirs, by level of mine: curves that give one set of pixels (n, 3) the distribution of the other, channel by channel."""
+    at = np.linspace(0, 1, QUANTILES)
+    curves = []
+    for c in range(3):
+        # Rising positions for np.interp: equal quantiles (clipped areas) are set apart by far less than a level.
+        positions = _level_at(mine[:, c], at) + np.arange(QUANTILES) * 1e-6
+        curves.append(np.interp(np.arange(LEVELS), positions, _level_at(theirs[:, c], at)))
+    return np.stack(curves)
+
+
+def tone_tables(picture: UInt16, target: UInt16) -> Float32:
+    """(3, LEVELS) tables that give `picture` the distribution of tones of `target`, both (H, W, 3): grey levels 0..255."""
+    return (equal_shares(sample(picture), sample(target)) * (255 / (LEVELS - 1))).astype(np.float32)
+
+
+def tables_of_pairs(tones: Tones, disparity: Float32, seen: Bool) -> Float32 | None:
+    """The right eye's tables by the points that both eyes see; None where those are too few.
+
+    disparity : (H, W) px, of the left eye.   seen : (H, W), where it may be believed.
+    """
+    width = disparity.shape[1]
+    step = max(1, int(np.sqrt(seen.sum() / PAIRS)))
+    y, x = np.nonzero(seen[::step, ::step])
+    y, x = y * step, x * step
+    # The nearest pixel and no value between two: what is interpolated is calmer, and its distribution narrower.
+    lands = np.rint(x - disparity[y, x])
+    within = (lands >= 0) & (lands < width)
+    y, x, lands = y[within], x[within], lands[within].astype(np.intp)
+    if y.size < FEWEST_PAIRS:
+        return None
+    left, right = tones.levels[0][y, x], tones.levels[1][y, lands]
+    curves = equal_shares(right, left)
+    levels = np.arange(LEVELS)
+    for c in range(3):
+        # Tones that no pair has go on as the last ones do: brighter or darker by the same share.
+        low, high = int(right[:, c].min()), int(right[:, c].max())
+        curves[c, :low] = levels[:low] * (curves[c, low] / max(low, 1))
+        curves[c, high:] = levels[high:] * (curves[c, high] / max(high, 1))
+    return np.stack([np.interp(curve, levels, table) for curve, table in zip(curves, tones.tables[0], strict=True)]).astype(np.float32)
