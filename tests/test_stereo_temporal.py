@@ -136,7 +136,7 @@ def test_flicker_is_a_third_and_the_error_no_worse(take: Take, calm: list[Frame]
     assert before.N_deg is not None
     assert after.N_deg is not None
     assert after.N_deg.median < before.N_deg.median / 3
-    assert after.N_deg.mean < before.N_deg.mean / 2.4
+    assert after.N_deg.mean < before.N_deg.mean / 3
     true = take.px_m / np.stack(take.true_Z)
     e, s = np.abs(take.disparity(take.alone) - true), np.abs(take.disparity(calm) - true)
     assert np.median(s) < 0.85 * np.median(e)
@@ -254,6 +254,22 @@ def test_a_surface_that_comes_nearer_is_where_it_is() -> None:
     error = 1 / steadied(told[0], about(told, 0), window=2).frame["Z"] - 6
     assert abs(float(np.median(error))) < 0.02
     assert float(np.median(np.abs(error))) < 0.8 * float(np.median(np.abs(told[0].disparity - 6)))
+
+
+def test_sigmas_that_differ_by_chance_hardly_flicker() -> None:
+    """A still wall whose frames are equally good, told so or told by sigmas that scatter by half about that."""
+    told, _, _ = card_over_wall(0, count=6)
+    rng = np.random.default_rng(11)
+
+    def flicker(scatter: float) -> float:
+        said = []
+        for g in told:
+            px = (0.1 * np.exp(scatter * rng.standard_normal(g.grey.shape))).astype(np.float32)
+            said.append(replace(g, depth=g.depth.with_passes(disparity_sigma=px)))
+        a, b = (1 / steadied(said[t], about(said, t), window=2).frame["Z"] for t in (2, 3))
+        return float(np.abs(a - b).mean())
+
+    assert flicker(0.5) < 1.13 * flicker(0.0)  # 1.22 where they are believed to the full, by 1 / sigma^2
 
 
 def test_same_bits_whatever_the_threads(take: Take, told: list[Glimpse]) -> None:

@@ -241,7 +241,9 @@ def _combined(first, end, values, sigmas, sures, kind, times, shares, rate, own,
                         e = (v[i] - middle) / gate[i]
                         k = f4(1) - e * e
                         if k > f4(0):
-                            k = g[i] * k * k / (s[i] * s[i])
+                            # By 1/sigma, not its square: half of what sigmas of one surface differ by is chance, and weights that
+                            # change from frame to frame by chance flicker.
+                            k = g[i] * k * k / s[i]
                             weight += k
                             moved += k * (v[i] - middle)
                             sure += k * sures[i, y, x]
@@ -272,7 +274,7 @@ def combined(
 ) -> tuple[Float32, Float32, Float32, Bool]:
     """One value a pixel from (n, H, W) of several frames, the frame's own first: value, sigma, confidence, and whether it was seen.
 
-    times      : (n,) frames from the frame itself.    shares : (n,) what each counts beside its 1/sigma^2.
+    times      : (n,) frames from the frame itself.    shares : (n,) what each counts beside its 1/sigma.
     rate       : (H, W) by how much the values grow a frame.
     own        : how many times its share the frame's own value counts in the vote on which surface it is.
     alike      : correlation of the errors of two frames.
