@@ -225,21 +225,23 @@ def held_evidence(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _believed(first, end, coefficients, floors, flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, out):
+def _believed(first, end, c, floors, flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, texture, uneven, out):
     W = spread.shape[1]
     floor, lower = floors
     for y in range(first, end):
         for x in range(W):
-            t = coefficients[0]
-            t += coefficients[1] * confirmed[y, x]
-            t += coefficients[2] * flow_agrees[y, x]
+            t = c[0]
+            t += c[1] * confirmed[y, x]
+            t += c[2] * flow_agrees[y, x]
             edge = min(spread[y, x], f4(6)) / f4(6)
-            t += edge * (coefficients[3] + coefficients[7] * confirmed_nearby[y, x] + coefficients[8] * flow_nearby[y, x])
-            t += coefficients[4] * np.log(max(sigma[y, x], f4(1e-3)) / f4(0.03))
-            t += coefficients[5] * confirmed_nearby[y, x]
-            t += coefficients[6] * flow_nearby[y, x]
-            t += coefficients[9] * np.log(f4(1) + misfit[y, x])
-            t += coefficients[10] * alone[y, x]
+            t += edge * (c[3] + c[7] * confirmed_nearby[y, x] + c[8] * flow_nearby[y, x])
+            t += c[4] * np.log(max(sigma[y, x], f4(1e-3)) / f4(0.03))
+            t += c[5] * confirmed_nearby[y, x]
+            t += c[6] * flow_nearby[y, x]
+            t += c[9] * np.log(f4(1) + misfit[y, x])
+            t += c[10] * alone[y, x]
+            t += c[11] * np.log(f4(0.1) + texture[y, x])
+            t += c[12] * np.log(f4(0.02) + uneven[y, x])
             p = f4(1) / (f4(1) + np.exp(-t))
             least = floor + alone[y, x] * (lower - floor)
             out[y, x] = np.sqrt((p * p + least * least) / (f4(1) + least * least))
@@ -255,6 +257,8 @@ def believed(
     sigma: Float32,
     misfit: Float32,
     alone: Float32,
+    texture: Float32,
+    uneven: Float32,
     *,
     floors: tuple[float, float],
 ) -> Float32:
@@ -263,6 +267,7 @@ def believed(
     floors : where `alone` is 0 and where it is 1.
     """
     out = np.empty_like(spread)
-    given = (coefficients, (f4(floors[0]), f4(floors[1])), flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, out)
+    of_pixels = (flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, texture, uneven)
+    given = (coefficients, (f4(floors[0]), f4(floors[1])), *of_pixels, out)
     in_row_blocks(lambda first, end: _believed(first, end, *given), spread.shape[0])
     return out

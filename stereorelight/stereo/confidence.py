@@ -3,13 +3,14 @@
 In: the match, the refined disparity and the flow's second opinion.  Out: confidence (H, W), the share of such pixels
 within 1 px of truth, and reason flags.  The evidence: the right eye confirms the match, here and round about; the flow confirms
 it, here and round about; no edge is near; the refinement's own standard deviation, which knows noise and texture; what is left
-between the eyes there, beside the plates' grain; and whether they share anything but grain.
+between the eyes there, beside the plates' grain; whether they share anything but grain; whether there is texture to match by; how uneven
+the surface is; and how much of what both eyes see was matched at all: where matching is lost on much of a picture, the rest of it is less sure.
 A logistic regression weighs it.  Its coefficients were fitted on synthetic shots; docs/depth.md shows the check on
 footage that had no part in the fit.  The same evidence gives the standard deviation of the disparity."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -33,12 +34,17 @@ EVIDENCE = (
     "edge nearby x flow agrees nearby",
     "log misfit",
     "eyes share nothing",
+    "log texture",
+    "log uneven",
+    "log lost",
 )
-COEFFICIENTS = np.array([2.944, 1.359, -0.095, -0.838, -1.949, 1.441, 0.304, -1.394, -0.873, -0.415, -3.6], dtype=np.float32)
-FLOOR, LOWER = 0.6, 0.3  # by which ground of which nothing is known but what lies beside it is told right; and where the eyes share nothing
-# log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log of how far errors hang together.
-SIGMA_COEFFICIENTS = (0.933, 0.987, 0.531, 0.325)
-MOST_SIGMA_PX = 8.0
+COEFFICIENTS = np.array([0.232, 0.809, 0.095, -1.141, -2.145, 0.717, 0.642, -0.187, -0.968, -0.152, -1.129, 0.295, -0.336, -0.616], dtype=np.float32)
+FLOOR, LOWER = 0.7, 0.22  # by which ground of which nothing is known but what lies beside it is told right; and where the eyes share nothing
+# log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log of how far errors hang together, and what is missing
+# of `SURE` where the eyes share nothing: a match that is wrong there is wrong by any amount.
+SIGMA_COEFFICIENTS = (0.813, 0.84, 0.674, 0.183, 2.886)
+SURE = 0.8
+MOST_SIGMA_PX = 16.0
 WINDOW = (7, 7)
 CONFIRMED_NEARBY, FLOW_NEARBY = (9, 9), (15, 15)
 MISFIT = (5, 5)
@@ -47,6 +53,11 @@ SHARED = (5, 5)  # half-size px
 LEAST_SHOWN = 0.2  # of the grain's variance: less is as good as nothing to share
 ENOUGH_SHARED = 0.5  # correlation from which eyes count as showing the same
 USUALLY_CLUMPED, LEAST_CLUMPED = 0.5, 0.05
+TEXTURE = (5, 5)
+UNEVEN = 5  # quarter-size px, odd
+LEAST_LOST = 0.05  # of what both eyes see: outlines are lost in every pair
+IGNORED_SIGMA_PX = 1.0  # of ground whose brightness may not speak: no texture there makes it surer
+LOST_FLOOR = 0.4  # share that is lost by which the floors are less by a factor of e
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +69,9 @@ class Evidence:
     misfit  : variance of what is left between the eyes over 5 x 5, over that of the plates' grain; an even difference counts nothing.
     alone   : 1 where the eyes share nothing of what they show round about, 0 where their correlation is `ENOUGH_SHARED` or more.
     spread  : range of disparity nearby, px.   sigma : the refinement's own, px.   clumped : `Refined`'s.
+    texture : change of grey along the row, root mean square over 5 x 5, over the grain.
+    uneven  : standard deviation of the disparity about a plane, over 20 x 20, px.
+    lost    : one number, the share of what both eyes see where the right eye does not confirm the match.
     """
 
     confirmed: Float32
@@ -69,6 +83,38 @@ class Evidence:
     spread: Float32
     sigma: Float32
     clumped: Float32
+    texture: Float32
+    uneven: Float32
+    lost: float
+
+    def in_pixels(self, px: float) -> Evidence:
+        """The same with lengths in pixels of which `px` make one of these: half the size is judged as what it is on the plate."""
+        scale = np.float32(px)
+        return replace(self, spread=scale * self.spread, sigma=scale * self.sigma, uneven=scale * self.uneven)
+
+
+def texture(grey: Float32, grain: float) -> Float32:
+    """(H, W): what there is to match by along the row, root mean square change of grey per pixel over `grain`."""
+    steep = cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8)
+    return np.sqrt(np.maximum(cv2.blur(steep * steep, TEXTURE), 0)) / np.float32(grain)
+
+
+def uneven(disparity: Float32) -> Float32:
+    """(H, W) px: standard deviation of the disparity about the plane that fits it best, over `UNEVEN` quarter-size pixels.
+
+    Squares that each lie flat on a board that does not, and ground filled from here and from there, are less even than what was seen.
+    """
+    height, width = disparity.shape
+    small = cv2.resize(disparity, ((width + 3) // 4, (height + 3) // 4), interpolation=cv2.INTER_AREA)
+    small = small - np.float32(small.mean())  # squares of small numbers are exact enough
+    window = (UNEVEN, UNEVEN)
+    mean = cv2.blur(small, window)
+    left_over = cv2.blur(small * small, window) - mean * mean
+    steps, even = np.arange(UNEVEN, dtype=np.float32) - UNEVEN // 2, np.full(UNEVEN, 1 / UNEVEN, np.float32)
+    for across, down in ((steps / UNEVEN, even), (even, steps / UNEVEN)):
+        moment = cv2.sepFilter2D(small, cv2.CV_32F, across, down)
+        left_over -= moment * moment / np.float32(np.mean(steps * steps))
+    return cv2.resize(np.sqrt(np.maximum(left_over, 0)), (width, height), interpolation=cv2.INTER_LINEAR)
 
 
 def alone(left: Float32, right: Float32, grain: float) -> Float32:
@@ -97,27 +143,32 @@ def _lands_on_plate(disparity: Float32, right_known: Bool) -> Bool:
     return within
 
 
-def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | None) -> Evidence:
-    """Gather the evidence; `flow` None counts as a second opinion that agrees wherever the right eye does."""
+def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | None, ignore: Bool | None = None) -> Evidence:
+    """Gather the evidence; `flow` None counts as a second opinion that agrees wherever the right eye does.
+
+    ignore : (H, W), ground that no match was asked of, and that none is missed on.
+    """
     d = refined.disparity
     residual = brightness_residual(proxy.left_grey, proxy.right_grey, d)[0]
     near = np.ones(WINDOW, np.uint8)
     sure = confirmed.astype(np.float32)
 
-    def said() -> tuple[Float32, Float32, Float32, Float32]:
+    def said() -> tuple[Float32, Float32, Float32, Float32, Float32]:
         with np.errstate(invalid="ignore"):
             agrees = sure if flow is None else (np.abs(flow - d) <= 1).astype(np.float32)
-        return agrees, cv2.blur(sure, CONFIRMED_NEARBY), cv2.blur(agrees, FLOW_NEARBY), cv2.dilate(d, near) - cv2.erode(d, near)
+        return agrees, cv2.blur(sure, CONFIRMED_NEARBY), cv2.blur(agrees, FLOW_NEARBY), cv2.dilate(d, near) - cv2.erode(d, near), uneven(d)
 
-    def seen() -> tuple[Float32, Float32]:
+    def seen() -> tuple[Float32, Float32, Float32, float]:
         mean = cv2.blur(residual, MISFIT)
         left_over = np.maximum(cv2.blur(residual * residual, MISFIT) - mean * mean, np.float32(0))
         grain = max(proxy.grains[0], LEAST_GRAIN)
         speaks = _lands_on_plate(d, proxy.right_known) & proxy.left_known & ~refined.unseen
         other = np.where(speaks, proxy.left_grey - residual, proxy.left_grey)  # what one eye alone can see speaks neither way
-        return left_over / np.float32(2 * grain * grain), alone(proxy.left_grey, other, grain)
+        asked = speaks if ignore is None else speaks & ~ignore
+        lost = 1 - np.count_nonzero(asked & confirmed) / max(np.count_nonzero(asked), 1)
+        return left_over / np.float32(2 * grain * grain), alone(proxy.left_grey, other, grain), texture(proxy.left_grey, grain), lost
 
-    (agrees, confirmed_nearby, agrees_nearby, spread), (misfit, lonely) = at_once(said, seen)
+    (agrees, confirmed_nearby, agrees_nearby, spread, rough), (misfit, lonely, shown, lost) = at_once(said, seen)
     return Evidence(
         confirmed=sure,
         flow_agrees=agrees,
@@ -126,24 +177,36 @@ def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | No
         misfit=misfit,
         alone=lonely,
         spread=spread,
-        sigma=refined.sigma_px,
+        sigma=refined.sigma_px if ignore is None else np.where(ignore, np.maximum(refined.sigma_px, np.float32(IGNORED_SIGMA_PX)), refined.sigma_px),
         clumped=refined.clumped,
+        texture=shown,
+        uneven=rough,
+        lost=lost,
     )
 
 
 def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS) -> Float32:
     """(H, W) float32, 0..1: among pixels of confidence c a share of about c is within 1 px of truth."""
+    always = coefficients[0] + coefficients[13] * np.log(np.float32(LEAST_LOST + e.lost))
+    weights = np.concatenate([[always], coefficients[1:13]]).astype(np.float32)
     nearby = (e.confirmed_nearby, e.flow_agrees_nearby)
-    return believed(coefficients, e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, e.misfit, e.alone, floors=(FLOOR, LOWER))
+    given = (e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, e.misfit, e.alone, e.texture, e.uneven)
+    return believed(weights, *given, floors=floors(e.lost))
 
 
-def sigma_from_evidence(e: Evidence, confidence: Float32, coefficients: tuple[float, float, float, float] = SIGMA_COEFFICIENTS) -> Float32:
+def floors(lost: float) -> tuple[float, float]:
+    """What confidence is at least where nothing is known of a pixel but what lies beside it, and where the eyes share nothing."""
+    floor = FLOOR * float(np.exp(-lost / LOST_FLOOR))
+    return floor, min(LOWER, floor)
+
+
+def sigma_from_evidence(e: Evidence, confidence: Float32, coefficients: tuple[float, float, float, float, float] = SIGMA_COEFFICIENTS) -> Float32:
     """(H, W) px: the standard deviation of the disparity; 68 % of such pixels are within it, as the synthetic shots were.
 
     The refinement's own sigma knows noise and bend, and takes pixels for independent; this adds what it cannot know: a wrong surface, and
     errors that hang together.
     """
-    always, own, doubt, together = (np.float32(c) for c in coefficients)
+    always, own, doubt, together, nothing = (np.float32(c) for c in coefficients)
     out = np.empty_like(confidence)
 
     def run(first: int, end: int) -> None:
@@ -151,6 +214,7 @@ def sigma_from_evidence(e: Evidence, confidence: Float32, coefficients: tuple[fl
         log = always + own * np.log(np.maximum(e.sigma[rows], np.float32(1e-3)) / np.float32(0.03))
         log += doubt * np.log((np.float32(1.005) - confidence[rows]) / np.float32(0.02))
         log += together * np.log(np.maximum(e.clumped[rows], np.float32(LEAST_CLUMPED)) / np.float32(USUALLY_CLUMPED))
+        log += nothing * e.alone[rows] * np.maximum(np.float32(SURE) - confidence[rows], np.float32(0))
         out[rows] = np.minimum(np.float32(0.03) * np.exp(log), np.float32(MOST_SIGMA_PX))
 
     in_row_blocks(run, out.shape[0], block_rows=64)

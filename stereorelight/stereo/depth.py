@@ -75,7 +75,7 @@ def _matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> M
 def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings, plate: Float32, eye: Eye, hints: Hinted | None) -> RectifiedDepth:
     """From the half-size `proxy`, the disparity carried up with the edges of the full-size `plate`."""
     half = replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX))
-    depth, picture = at_once(lambda: _of_pair(proxy, search, half, None, hints), lambda: picture_of(plate, eye))
+    depth, picture = at_once(lambda: _of_pair(proxy, search, half, None, hints, px=2.0), lambda: picture_of(plate, eye))
     size = (picture.shape[0], picture.shape[1])
     refined, (confidence, flags) = at_once(
         lambda: full_size(depth.refined, picture), lambda: tuple(np.ascontiguousarray(nearest(a, size)) for a in (depth.confidence, depth.flags))
@@ -107,13 +107,15 @@ def refined_with_evidence(
         proxy, dense, confirmed, known=known, ramps=settings.matcher != OWN, calm=found.calm, effort=EFFORTS[settings.quality],
         subject=subject, ignore=ignore,
     )  # fmt: skip
-    return refined, confirmed, belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity)
+    return refined, confirmed, belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity, ignore)
 
 
-def _of_pair(proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None, hints: Hinted | None) -> RectifiedDepth:
-    """The left eye of a rectified pair, judged."""
+def _of_pair(
+    proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None, hints: Hinted | None, px: float = 1.0
+) -> RectifiedDepth:
+    """The left eye of a rectified pair, judged; `px`: pixels of the plate in one of the pair's, since confidence is about a pixel of the plate."""
     refined, confirmed, evidence = refined_with_evidence(proxy, search, settings, flow, hints)
-    confidence = belief.confidence_from_evidence(evidence)
+    confidence = belief.confidence_from_evidence(evidence if px == 1 else evidence.in_pixels(px))
     sigma, flags = at_once(
         lambda: belief.sigma_from_evidence(evidence, confidence),
         lambda: belief.reasons(refined, confirmed, proxy.left_known, proxy.right_known),

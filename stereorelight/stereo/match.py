@@ -20,6 +20,7 @@ from stereorelight.engine.support import supported
 from stereorelight.errors import PlateError
 from stereorelight.stereo.halves import half_proxy, nearest
 from stereorelight.stereo.proxy import CALM, Proxy, grey_of
+from stereorelight.stereo.rims import on_rims
 
 COARSE_WIDTH = 160  # pixels of the picture in which the range is looked for
 COARSE_REACH = 0.6  # of the frame's width: no disparity beyond it is looked for without a near_m
@@ -163,8 +164,9 @@ def _plain(grey: Float32, most: float, window: tuple[int, int]) -> Bool:
     return cv2.blur(steep * steep, window) < most**2
 
 
-def _guide(matcher: cv2.StereoSGBM, loose: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: DisparityRange) -> Float32:
-    """What leads adaptive support: SGBM's left answer, and that of half the size under grain or where much of the picture is plain.
+def _guide(matcher: cv2.StereoSGBM, loose: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: DisparityRange) -> tuple[Float32, bool]:
+    """What leads adaptive support: SGBM's left answer, and that of half the size under grain or where much of the picture is plain; and
+    whether that is what it is, and the picture clean.
 
     Half the size has a quarter of the noise, and the rims of plain ground are nearer there; it is blind to what is thin.  Under grain it
     speaks where SGBM's right answer does not confirm the left one, which on plain ground is that of `loose`, to which a jump costs less.  In
@@ -173,22 +175,36 @@ def _guide(matcher: cv2.StereoSGBM, loose: cv2.StereoSGBM, proxy: Proxy, calm: P
     """
     left = _left_px(matcher, calm, search)
     if min(left.shape) < 2 * HALF_SMALLEST_PX:
-        return left
+        return left, False
     clean, lost = calm is proxy, np.isnan(left)
     if clean and np.mean(lost) < PLAIN_LOST:
-        return left
+        return left, False
     plain = _plain(proxy.left_grey, PLAIN, PLAIN_WINDOW) if clean else _plain(grey_of(calm.left), CALM_PLAIN, CALM_PLAIN_WINDOW)
     if clean and np.mean(plain & lost) < PLAIN_LOST:
-        return left
+        return left, False
     small = match(half_proxy(proxy), search.halved(), guided=clean)  # clean plates go on to a quarter of the size, as long as it is plain, too
     half = 2 * nearest(small.left, (left.shape[0], left.shape[1]))
     sure = nearest(consistent(small.left, small.right).view(np.uint8), (left.shape[0], left.shape[1])) > 0
     if clean:
-        return np.where(plain & sure, half, left)
+        return np.where(plain & sure, half, left), True
     left = np.where(plain, _left_px(loose, calm, search), left)
     with np.errstate(invalid="ignore"):
         stands = consistent(left, _right_px(matcher, calm, search)) | (np.abs(left - half) <= HALF_AGREES_PX)
-    return np.where(stands, left, np.where(sure, half, np.float32(np.nan)))
+    return np.where(stands, left, np.where(sure, half, np.float32(np.nan))), False
+
+
+def _on_rims(left_grey: Float32, right_grey: Float32, left: Float32, right: Float32) -> tuple[Float32, Float32]:
+    """Both eyes' disparities with plain patches on the planes of their rims (docs/decisions/0048-rims-and-doubt.md)."""
+
+    def flipped(a: Float32) -> Float32:
+        return np.ascontiguousarray(a[:, ::-1])
+
+    def of_right() -> Float32:
+        mirrored = flipped(right)
+        return flipped(np.where(np.isnan(mirrored), mirrored, on_rims(flipped(right_grey), flipped(left_grey), everywhere(mirrored))))
+
+    mine, theirs = at_once(lambda: on_rims(left_grey, right_grey, everywhere(left)), of_right)
+    return np.where(np.isnan(left), left, mine), theirs
 
 
 def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, guided: bool = True, led: bool = True) -> Match:
@@ -205,9 +221,11 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     stiffness = float(np.clip(noise / NOISY, 1, 2))
     stiff, loose = (_matcher(calm, search, exhaustive=exhaustive, stiffness=stiffness, jump=jump) for jump in (P2, CALM_P2))
     left_grey, right_grey = (proxy.left_grey, proxy.right_grey) if calm is proxy else (grey_of(calm.left), grey_of(calm.right))
-    given = None
-    if led:
-        given = _guide(stiff, loose, proxy, calm, search) if guided else _left_px(stiff if calm is proxy else loose, calm, search)
+    given, plain = None, False
+    if led and guided:
+        given, plain = _guide(stiff, loose, proxy, calm, search)
+    elif led:
+        given = _left_px(stiff if calm is proxy else loose, calm, search)
     seen = (calm.left, left_grey, right_grey, search.low, search.count)
     alike = max(1.0, ALIKE * noise)
     left, right = supported(*seen, given=given, alike=alike, step=step)
@@ -218,6 +236,8 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
         again, right = supported(*seen, given=held, alike=alike, step=step, pull=AGAIN_PULL, limit=AGAIN_LIMIT)
         left = np.where(np.abs(again - left) <= 0.5, left, again)  # the pull draws parts of a pixel to whole ones
     left = without_speckles(left, round(speckle_px))
+    if plain:
+        left, right = _on_rims(left_grey, right_grey, left, right)
     return Match(left=left, right=right, dense=everywhere(left), calm=calm.left)
 
 

@@ -1,24 +1,29 @@
 """Fits what depth says of itself: confidence and `disparity_sigma` (stereo/confidence.py) and `N_sigma` (surface/normals.py).
 
 Run:  python tests/benchmarks/fit_confidence.py [--cache DIR] [--pixels N] [--check]
-In: rendered pairs with exact answers, SCENES and BARE at SIZES, clean and with GRAINS of full range on gamma-coded plates; N pixels of each, drawn at
-random.  Out, printed: the three sets of coefficients, ready to be put into those modules, and how true they are on the pairs of the fit and on
-those that have no part in it (HELD_OUT, and Motorcycle).  --check fits nothing and judges the coefficients that stand.
+In: pairs with exact answers of three families that count alike: rendered SCENES, clean and with GRAINS of full range on gamma-coded plates;
+photographs on planes and balls under grain of linear light (bench_grain.py); and plain things between strong rims, blurred and compressed
+(tests/plain_scenes.py).  N pixels of each pair, drawn at random.  Out, printed: the three sets of coefficients, ready to be put into those
+modules; how true they are on the pairs of the fit; how true on each family when it is left out; and on those that have no part in it
+(HELD_OUT, other photographs, Motorcycle and, where STEREORELIGHT_DATA holds them, real boards).  --check fits nothing and judges the
+coefficients that stand.
 
-Confidence: the likelihood of being within 1 px of truth, floor and all, with a ridge.  Standard deviations: regression of the 0.683 quantile
+Confidence: the likelihood of being within 1 px of truth, floors and all, with a ridge.  Standard deviations: regression of the 0.683 quantile
 of the logarithm of the error (Koenker and Bassett 1978) where both eyes see, since 68 % of the errors are to be within what is told; few bad
-ones have no say.  `belief.FLOOR` stays as it is: run the fit at several, the likelihood that is printed tells (best from 0.6 to 0.7).
-`N_sigma` takes its share of facing as geometry has it.  One after the other: each rests on the one before it."""
+ones have no say.  `N_sigma` is fitted on rendered pairs alone, and takes its share of facing as geometry has it.  One after the other: each
+rests on the one before it."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 from scipy.optimize import minimize
 
@@ -33,21 +38,26 @@ from stereorelight.stereo.depth import refined_with_evidence
 from stereorelight.stereo.flow import flow_disparity
 from stereorelight.stereo.match import search_range
 from stereorelight.stereo.proxy import matching_proxy
-from stereorelight.stereo.rectify import rectification
+from stereorelight.stereo.rectify import Rectification, rectification
 from stereorelight.stereo.settings import DepthSettings
 from stereorelight.surface import normals as surface
 from stereorelight.surface.normals import normals_from_depth
 from stereorelight.surface.position import ray_slopes
 from stereorelight.synth.rigs import parallel_rig
 from stereorelight.threads import set_threads
-from tests.benchmarks.bench_depth import pair_of_plates
+from tests import plain_scenes
+from tests.benchmarks import bench_grain
+from tests.benchmarks.bench_depth import linear, pair_of_plates
 from tests.benchmarks.bench_depth_scenes import grained, rendered
 
 SCENES = ("bust", "weak", "thin", "table", "statue", "interior", "sphere")
-BARE = ("plane", "slanted")  # nothing stands before anything: no ground that is hidden can be wrong, and confidence must not learn from that
 HELD_OUT = ("repeat", "two_planes", "box")
-SIZES = ((640, 360), (960, 540))
+SIZES = ((640, 360),)
 GRAINS = (0.0, 0.01, 0.02)
+PHOTOGRAPHS, OTHER_PHOTOGRAPHS = range(1, 7), range(10, 14)
+PHOTOGRAPHED = (("clean", 1.0), ("add", 1.0), ("add", 0.25), ("both", 1.0), ("photon", 0.25))  # grain, and exposure
+OTHERWISE_PHOTOGRAPHED = (("clean", 1.0), ("add", 1.0), ("add", 0.25), ("photon", 1.0), ("photon", 0.25), ("both", 1.0), ("both", 0.25))
+PLAIN = (*range(14), *range(plain_scenes.FILLED, plain_scenes.FILLED + 10))
 WITHIN = 0.683
 RIDGE = 1e-4  # on coefficients, per pixel: keeps those that say the same from running off against each other
 CLIP = 1e-4  # least error, px and degrees: nothing is told finer
@@ -58,6 +68,7 @@ class Pair:
     """A pair as the judge sees it, every array (H, W) but normals, and which pixels are judged."""
 
     name: str
+    family: str
     rig: RectifiedRig
     disparity: np.ndarray
     evidence: belief.Evidence
@@ -67,14 +78,29 @@ class Pair:
     drawn: np.ndarray
 
 
-def looked_at(name: str, plates: Sequence[np.ndarray], rectified, truth: np.ndarray, N: np.ndarray, seen: np.ndarray, pixels: int) -> Pair:
-    views = [rectified.rectify(plate, eye) for plate, eye in zip(plates, ("left", "right"), strict=True)]
-    proxy = matching_proxy(*views)
-    refined, _, evidence = refined_with_evidence(proxy, search_range(proxy, rectified.rig), DepthSettings(), flow_disparity(proxy))
+def looked_at(
+    name: str,
+    plates: Sequence[np.ndarray],
+    rectified: Rectification,
+    truth: np.ndarray,
+    N: np.ndarray | None,
+    seen: np.ndarray,
+    pixels: int,
+    *,
+    near_m: float | None = None,
+    far_m: float | None = None,
+) -> Pair:
+    """N None: normals are not judged.   name: its first word is the pair's family."""
+    views = [rectified.rectify(plate, eye, to_match=True) for plate, eye in zip(plates, ("left", "right"), strict=True)]
+    proxy = matching_proxy(*views, steps=(rectified.step("left"), rectified.step("right")))
+    search = search_range(proxy, rectified.rig, near_m=near_m, far_m=far_m)
+    refined, _, evidence = refined_with_evidence(proxy, search, DepthSettings(), flow_disparity(proxy))
     known = np.flatnonzero(np.isfinite(truth))
     drawn = np.random.default_rng(0).choice(known, min(pixels, known.size), replace=False)
     error = np.abs(refined.disparity - truth)
-    return Pair(name=name, rig=rectified.rig, disparity=refined.disparity, evidence=evidence, error=error, N=N, seen=seen, drawn=drawn)
+    N = np.full((*truth.shape, 3), np.nan, np.float32) if N is None else N
+    family = name.split()[0]
+    return Pair(name=name, family=family, rig=rectified.rig, disparity=refined.disparity, evidence=evidence, error=error, N=N, seen=seen, drawn=drawn)
 
 
 def of_scenes(names: Sequence[str], sizes: Sequence[tuple[int, int]], grains: Sequence[float], pixels: int, cache: Path | None) -> Iterator[Pair]:
@@ -86,7 +112,7 @@ def of_scenes(names: Sequence[str], sizes: Sequence[tuple[int, int]], grains: Se
             for grain in grains:
                 rng = np.random.default_rng(1)
                 plates = [grained(made[eye], grain, rng) for eye in ("left", "right")]
-                told = f"{name} {size[0]}x{size[1]} {100 * grain:.0f} %"
+                told = f"rendered {name} {size[0]}x{size[1]} {100 * grain:.0f} %"
                 yield looked_at(told, plates, rectified, per / made["Z"], made["N"], made["flags"] == 0, pixels)
 
 
@@ -102,41 +128,78 @@ def of_motorcycle(grains: Sequence[float], pixels: int) -> Iterator[Pair]:
         yield looked_at(f"motorcycle {100 * grain:.0f} %", plates, rectified, truth, N, pair.nonoccluded, pixels)
 
 
+def of_photographs(numbers: Sequence[int], kinds: Sequence[tuple[str, float]], pixels: int) -> Iterator[Pair]:
+    rectified = rectification(parallel_rig((bench_grain.W, bench_grain.H)))
+    per = rectified.rig.left.fx * rectified.rig.baseline_m
+    reach = {"near_m": per / bench_grain.NEAREST_PX, "far_m": per / bench_grain.FARTHEST_PX}
+    for number in numbers:
+        left, right, disparity, seen = bench_grain.rendered(number)
+        truth = np.where(seen, disparity, np.nan)
+        for kind, exposure in kinds:
+            floor, shot = bench_grain.GRAIN[kind]
+            rng = np.random.default_rng(1000 * number + 7)
+            plates = []
+            for light in (exposure * left, exposure * right):
+                plates.append((light + np.sqrt(np.maximum(floor + shot * light, 0)) * rng.standard_normal(light.shape)).astype(np.float32))
+            yield looked_at(f"photographs {number} {kind} x {exposure:g}", plates, rectified, truth, None, seen, pixels, **reach)
+
+
+def of_plain(numbers: Sequence[int], pixels: int) -> Iterator[Pair]:
+    rectified = rectification(parallel_rig((plain_scenes.W, plain_scenes.H)))
+    for number in numbers:
+        left, right, disparity, seen = plain_scenes.plain_pair(number)
+        yield looked_at(f"plain {number}", (left, right), rectified, disparity, None, seen, pixels)
+
+
+def of_real_boards(pixels: int) -> Iterator[Pair]:
+    """Every pixel of the thirteen real boards; nothing where they are not at hand."""
+    from stereorelight.calibration.lens_choice import choose
+    from tests.benchmarks.bench_real_boards import FOLDER, plane_of, real_views
+
+    if not FOLDER.is_dir():
+        return
+    _, calibration = choose(real_views(), ((640, 480), (640, 480)))
+    rectified = rectification(calibration.rig)
+    for pose, name in zip(calibration.board_poses, calibration.views.names, strict=True):
+        plates = [linear(cv2.imread(str(FOLDER / f"{eye}{name}.jpg"))) for eye in ("left", "right")]
+        shown, plane = plane_of(pose, calibration.board_m, rectified)
+        yield looked_at(f"board {name}", plates, rectified, np.where(shown, plane, np.nan), None, shown, pixels)
+
+
 def confidence_evidence(e: belief.Evidence) -> np.ndarray:
-    """(H W, 11) in the order of `belief.EVIDENCE`."""
+    """(H W, 14) in the order of `belief.EVIDENCE`."""
     edge = np.minimum(e.spread, 6) / 6
     columns = (
         np.ones_like(edge), e.confirmed, e.flow_agrees, edge, np.log(np.maximum(e.sigma, 1e-3) / 0.03), e.confirmed_nearby, e.flow_agrees_nearby,
-        edge * e.confirmed_nearby, edge * e.flow_agrees_nearby, np.log(1 + e.misfit), e.alone,
+        edge * e.confirmed_nearby, edge * e.flow_agrees_nearby, np.log(1 + e.misfit), e.alone, np.log(0.1 + e.texture), np.log(0.02 + e.uneven),
+        np.full_like(edge, np.log(belief.LEAST_LOST + e.lost)),
     )  # fmt: skip
     return np.stack([c.ravel() for c in columns], axis=1).astype(np.float64)
 
 
 def sigma_evidence(e: belief.Evidence, confidence: np.ndarray) -> np.ndarray:
     clumped = np.maximum(e.clumped, belief.LEAST_CLUMPED) / belief.USUALLY_CLUMPED
-    columns = (np.ones_like(confidence), np.log(np.maximum(e.sigma, 1e-3) / 0.03), np.log((1.005 - confidence) / 0.02), np.log(clumped))
+    missing = e.alone * np.maximum(belief.SURE - confidence, 0)
+    columns = (np.ones_like(confidence), np.log(np.maximum(e.sigma, 1e-3) / 0.03), np.log((1.005 - confidence) / 0.02), np.log(clumped), missing)
     return np.stack([c.ravel() for c in columns], axis=1).astype(np.float64)
 
 
-def fitted_confidence(A: np.ndarray, right: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """The coefficients, but for the last, of ground where the eyes share nothing: that was fitted on photographs, and stands."""
-    alone = A[:, -1]
-    floor2 = (belief.FLOOR + alone * (belief.LOWER - belief.FLOOR)) ** 2
+def fitted_confidence(A: np.ndarray, floor2: np.ndarray, right: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """The coefficients.   floor2 : square of the floor of each pixel."""
     scale = 1 + floor2
-    held = float(belief.COEFFICIENTS[-1])
-    still = np.arange(A.shape[1] - 1) > 0  # the constant is free
+    still = np.arange(A.shape[1]) > 0  # the constant is free
 
     def loss(c: np.ndarray) -> tuple[float, np.ndarray]:
-        p = 1 / (1 + np.exp(-np.clip(A[:, :-1] @ c + held * alone, -30, 30)))
+        p = 1 / (1 + np.exp(-np.clip(A @ c, -30, 30)))
         told = np.clip(np.sqrt((p * p + floor2) / scale), 1e-6, 1 - 1e-6)
         value = -(weight * (right * np.log(told) + (1 - right) * np.log(1 - told))).sum()
         by_told = -weight * (right / told - (1 - right) / (1 - told))
-        by_c = A[:, :-1].T @ (by_told * p / (scale * told) * p * (1 - p))
+        by_c = A.T @ (by_told * p / (scale * told) * p * (1 - p))
         return value + RIDGE * (c[still] ** 2).sum(), by_c + 2 * RIDGE * c * still
 
-    found = minimize(loss, belief.COEFFICIENTS[:-1].astype(np.float64), jac=True, method="L-BFGS-B", options={"maxiter": 2000})
-    print(f"confidence, floor {belief.FLOOR}: log loss {found.fun:.5f}", flush=True)
-    return np.append(found.x, held)
+    found = minimize(loss, np.zeros(A.shape[1]), jac=True, method="L-BFGS-B", options={"maxiter": 2000})
+    print(f"confidence, floors {belief.FLOOR}, {belief.LOWER}: log loss {found.fun:.5f}", flush=True)
+    return found.x
 
 
 def fitted_quantile(A: np.ndarray, log_error: np.ndarray, weight: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -175,20 +238,31 @@ def normals_evidence(pair: Pair, c: Coefficients) -> tuple[np.ndarray, np.ndarra
     return A, np.where(pair.seen, angle_deg(N, pair.N), np.nan).ravel()
 
 
-def fitted(pairs: Sequence[Pair]) -> Coefficients:
-    c = Coefficients(confidence=belief.COEFFICIENTS, sigma=belief.SIGMA_COEFFICIENTS, normals=surface.FITTED)
-    weight = np.concatenate([np.full(p.drawn.size, 1 / p.drawn.size) for p in pairs]) / len(pairs)  # every pair counts alike
-    error = np.concatenate([p.error.ravel()[p.drawn] for p in pairs])
-    full = np.concatenate([np.full(p.drawn.size, not p.name.startswith(BARE)) for p in pairs])
+def weights_of(pairs: Sequence[Pair]) -> np.ndarray:
+    """Of each drawn pixel: every family counts alike, and every pair within it."""
+    of_family = Counter(p.family for p in pairs)
+    return np.concatenate([np.full(p.drawn.size, 1 / (p.drawn.size * of_family[p.family])) for p in pairs]) / len(of_family)
+
+
+def confidence_of(pairs: Sequence[Pair]) -> np.ndarray:
+    floor2 = []
+    for p in pairs:
+        floor, lower = belief.floors(p.evidence.lost)
+        floor2.append((floor + p.evidence.alone.ravel()[p.drawn] * (lower - floor)) ** 2)
     A = np.concatenate([confidence_evidence(p.evidence)[p.drawn] for p in pairs])
-    found = fitted_confidence(A[full], (error[full] <= 1).astype(np.float64), weight[full] / weight[full].sum())
-    c = Coefficients(confidence=found, sigma=c.sigma, normals=c.normals)
+    error = np.concatenate([p.error.ravel()[p.drawn] for p in pairs])
+    return fitted_confidence(A, np.concatenate(floor2), (error <= 1).astype(np.float64), weights_of(pairs))
+
+
+def fitted(pairs: Sequence[Pair]) -> Coefficients:
+    c = Coefficients(confidence=confidence_of(pairs), sigma=belief.SIGMA_COEFFICIENTS, normals=surface.FITTED)
     seen = np.concatenate([p.seen.ravel()[p.drawn] for p in pairs])
+    error = np.concatenate([p.error.ravel()[p.drawn] for p in pairs])
     A = np.concatenate([sigma_evidence(p.evidence, told_of(p, c)[0])[p.drawn] for p in pairs])
-    sigma = fitted_quantile(A[seen], np.log(np.maximum(error[seen], CLIP) / 0.03), weight[seen], np.array(c.sigma))
+    sigma = fitted_quantile(A[seen], np.log(np.maximum(error[seen], CLIP) / 0.03), weights_of(pairs)[seen], np.array(c.sigma))
     c = Coefficients(confidence=c.confidence, sigma=tuple(sigma), normals=c.normals)
     rows, angles, weights = [], [], []
-    for p in pairs:
+    for p in (p for p in pairs if p.family == "rendered"):
         A, angle = (a[p.drawn] for a in normals_evidence(p, c))
         good = np.isfinite(angle) & np.isfinite(A).all(axis=1)
         if good.any():
@@ -203,6 +277,8 @@ def fitted(pairs: Sequence[Pair]) -> Coefficients:
 
 def in_five(error: np.ndarray, told: np.ndarray) -> str:
     """What 68 % of the errors stay within over what is told, in five bins of what is told."""
+    if error.size < 100:
+        return "-"
     edges = np.quantile(told, np.linspace(0, 1, 6))
     bins = [(told >= low) & (told <= high) for low, high in pairwise(edges)]
     return " ".join(f"{np.quantile(error[one], WITHIN) / told[one].mean():5.2f}" for one in bins)
@@ -218,6 +294,8 @@ def judge(heading: str, pairs: Sequence[Pair], c: Coefficients, *, each: bool = 
         heap.append([p.error.ravel()[p.drawn], sure, sigma, angle, normal, p.seen.ravel()[p.drawn]])
         if each and len(pairs) > 1:
             print(f"  {p.name:26s} " + summary(heap[-1]), flush=True)
+    if not heap:
+        return
     whole = [np.concatenate(part) for part in zip(*heap, strict=True)]
     print(f"{heading:28s} " + summary(whole))
     error, sure = whole[0], whole[1]
@@ -245,15 +323,24 @@ def main() -> None:
     asked = parser.parse_args()
     set_threads()
     c = Coefficients(confidence=belief.COEFFICIENTS, sigma=belief.SIGMA_COEFFICIENTS, normals=surface.FITTED)
-    pairs = list(of_scenes((*SCENES, *BARE), SIZES, GRAINS, asked.pixels, asked.cache))
+    pairs = list(of_scenes(SCENES, SIZES, GRAINS, asked.pixels, asked.cache))
+    pairs += of_photographs(PHOTOGRAPHS, PHOTOGRAPHED, asked.pixels)
+    pairs += of_plain(PLAIN, asked.pixels)
+    families = sorted({p.family for p in pairs})
     if not asked.check:
         c = fitted(pairs)
         print("COEFFICIENTS =", [round(float(x), 3) for x in c.confidence])
         print("SIGMA_COEFFICIENTS =", tuple(round(float(x), 3) for x in c.sigma))
         print("FITTED =", tuple(round(float(x), 3) for x in c.normals), flush=True)
-    judge("scenes of the fit", pairs, c, each=True)
+        for family in families:
+            without = Coefficients(confidence=confidence_of([p for p in pairs if p.family != family]), sigma=c.sigma, normals=c.normals)
+            judge(f"{family}, left out", [p for p in pairs if p.family == family], without)
+    for family in families:
+        judge(f"{family}, of the fit", [p for p in pairs if p.family == family], c)
     del pairs
-    judge("rendered, no part in it", list(of_scenes(HELD_OUT, SIZES[:1], GRAINS[:2], asked.pixels, asked.cache)), c, each=True)
+    judge("rendered, no part in it", list(of_scenes(HELD_OUT, SIZES, GRAINS[:2], asked.pixels, asked.cache)), c, each=True)
+    judge("photographs, no part in it", list(of_photographs(OTHER_PHOTOGRAPHS, OTHERWISE_PHOTOGRAPHED, asked.pixels)), c)
+    judge("real boards", list(of_real_boards(asked.pixels)), c, each=True)
     for pair in of_motorcycle(GRAINS, 10**9):
         judge(pair.name, [pair], c)
 

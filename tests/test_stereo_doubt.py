@@ -1,0 +1,68 @@
+"""What confidence knows of plain ground, of surfaces that are not even, and of pictures on which matching is lost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereorelight.stereo.confidence import Evidence, confidence_from_evidence, floors, sigma_from_evidence, texture, uneven
+
+HW = (60, 84)
+
+
+def full(value: float) -> np.ndarray:
+    return np.full(HW, value, np.float32)
+
+
+def usual() -> Evidence:
+    """Ground that all speaks for."""
+    return Evidence(
+        confirmed=full(1), flow_agrees=full(1), confirmed_nearby=full(1), flow_agrees_nearby=full(1), misfit=full(0.5), alone=full(0),
+        spread=full(0.1), sigma=full(0.1), clumped=full(0.5), texture=full(3), uneven=full(0.02), lost=0.02,
+    )  # fmt: skip
+
+
+def test_texture_is_the_change_along_the_row_over_the_grain() -> None:
+    y, x = np.mgrid[: HW[0], : HW[1]].astype(np.float32)
+    assert texture(3 * x + 40 * y, 2.0)[5:-5, 5:-5] == pytest.approx(1.5, abs=1e-3)
+    assert texture(40 * y, 2.0).max() < 1e-3
+
+
+def test_a_plane_is_even_and_a_stair_is_not() -> None:
+    y, x = np.mgrid[: HW[0], : HW[1]].astype(np.float32)
+    plane = 400 + 0.11 * x - 0.07 * y
+    inside = (slice(16, -16), slice(16, -16))
+    assert uneven(plane)[inside].max() < 2e-3
+    stair = 400 + 2 * np.floor(y / 16)
+    assert 0.3 < np.median(uneven(stair.astype(np.float32))[inside]) < 0.6
+
+
+@pytest.mark.parametrize("worse", [{"texture": full(0.05)}, {"uneven": full(1)}, {"lost": 0.3}, {"alone": full(1)}, {"misfit": full(30)}])
+def test_each_evidence_against_makes_less_sure(worse) -> None:
+    sure, less = (float(confidence_from_evidence(e)[0, 0]) for e in (usual(), replace(usual(), **worse)))
+    assert less < sure - 0.005
+
+
+def test_where_matching_is_lost_a_guess_is_told_less() -> None:
+    guess = {"confirmed": full(0), "flow_agrees": full(0), "confirmed_nearby": full(0), "flow_agrees_nearby": full(0), "sigma": full(3)}
+    told = [float(confidence_from_evidence(replace(usual(), **guess, lost=lost)).min()) for lost in (0.0, 0.1, 0.3)]
+    assert told[0] > 0.5 > told[2]
+    assert told == sorted(told, reverse=True)
+    for lost in (0.0, 0.3, 1.0):
+        assert floors(lost)[1] <= floors(lost)[0]
+
+
+def test_a_match_where_the_eyes_share_nothing_may_be_off_by_any_amount() -> None:
+    e = usual()
+    wide, wider = (float(sigma_from_evidence(replace(e, alone=full(a)), full(0.3))[0, 0]) for a in (0, 1))
+    assert wider > 3 * wide
+    assert float(sigma_from_evidence(replace(e, alone=full(1)), full(0.95))[0, 0]) == pytest.approx(float(sigma_from_evidence(e, full(0.95))[0, 0]))
+
+
+def test_half_the_size_is_judged_in_pixels_of_the_plate() -> None:
+    e = replace(usual(), sigma=full(0.3), spread=full(1), uneven=full(0.2))
+    twice = replace(e, sigma=full(0.6), spread=full(2), uneven=full(0.4))
+    np.testing.assert_array_equal(confidence_from_evidence(e.in_pixels(2)), confidence_from_evidence(twice))
+    assert confidence_from_evidence(twice)[0, 0] < confidence_from_evidence(e)[0, 0]
