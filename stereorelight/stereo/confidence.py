@@ -165,7 +165,7 @@ def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | No
         speaks = _lands_on_plate(d, proxy.right_known) & proxy.left_known & ~refined.unseen
         other = np.where(speaks, proxy.left_grey - residual, proxy.left_grey)  # what one eye alone can see speaks neither way
         asked = speaks if ignore is None else speaks & ~ignore
-        lost = 1 - np.count_nonzero(asked & confirmed) / max(np.count_nonzero(asked), 1)
+        lost = 1 - float(np.count_nonzero(asked & confirmed)) / max(float(np.count_nonzero(asked)), 1.0)
         return left_over / np.float32(2 * grain * grain), alone(proxy.left_grey, other, grain), texture(proxy.left_grey, grain), lost
 
     (agrees, confirmed_nearby, agrees_nearby, spread, rough), (misfit, lonely, shown, lost) = at_once(said, seen)
