@@ -96,7 +96,8 @@ class Evidence:
 def texture(grey: Float32, grain: float) -> Float32:
     """(H, W): what there is to match by along the row, root mean square change of grey per pixel over `grain`."""
     steep = cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8)
-    return np.sqrt(np.maximum(cv2.blur(steep * steep, TEXTURE), 0)) / np.float32(grain)
+    square = cv2.blur(cv2.multiply(steep, steep, dst=steep, scale=1 / grain**2), TEXTURE)
+    return cv2.sqrt(np.maximum(square, np.float32(0), out=square), square)
 
 
 def uneven(disparity: Float32) -> Float32:
