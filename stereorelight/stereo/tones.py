@@ -20,7 +20,7 @@ from stereorelight.engine.tone import LEVELS
 Number = TypeVar("Number", np.float32, np.uint16)
 QUANTILES = 256
 SAMPLES = 20_000  # pixels looked at for statistics: enough for a quantile to a fifth of a grey level
-PAIRS = 120_000  # of points that both eyes see
+PAIRS = 240_000  # of points that both eyes see, at most
 FEWEST_PAIRS = 4_000
 
 
@@ -71,7 +71,7 @@ def tables_of_pairs(tones: Tones, disparity: Float32, seen: Bool) -> Float32 | N
     disparity : (H, W) px, of the left eye.   seen : (H, W), where it may be believed.
     """
     width = disparity.shape[1]
-    step = max(1, int(np.sqrt(seen.sum() / PAIRS)))
+    step = max(1, int(np.ceil(np.sqrt(np.count_nonzero(seen) / PAIRS))))
     y, x = np.nonzero(seen[::step, ::step])
     y, x = y * step, x * step
     # The nearest pixel and no value between two: what is interpolated is calmer, and its distribution narrower.
