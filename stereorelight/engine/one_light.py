@@ -1,46 +1,184 @@
-"""One light in one loop, from Z and N to its strength on the surface: neither P nor V is written and read again.
+"""One light alone, from Z and N to the relit plate, some dozen pixels at a time.
 
-In: rows of rays, Z, N.  Out: rows of diffuse light, of 1 - R.V, and of the strength in front.  Frame: scene frame of the camera, metres.
-What light_rows.py does in three loops, for what is most frequent: a place or a direction, Lambert or Phong with a whole exponent, at most a matte."""
+In: rows of rays, Z, N and the plate.  Out: rows of strengths on the surface, for layers, and of the picture.
+Frame: scene frame of the camera, metres.
+What is most frequent: a place or a direction, Lambert or Phong with a whole exponent, at most a matte, on the plate as its own albedo.
+A processor looks some hundred steps ahead.  So no step here waits long for the one before it: dot products, roots, powers and colours go one after
+the other over a few pixels, whose numbers stay in a small room in between; and memory is read and written all the time, not by turns."""
 
 from __future__ import annotations
 
-from stereorelight.engine.fastmath import f4, kernel
-from stereorelight.engine.light_rows import FARTHEST2, NEAREST2, per_root
+from collections.abc import Sequence
+from typing import Any
 
-# As in light_rows.py: this file must change whenever it does.
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from stereorelight.engine.eights import GROUP, LONG, Eight, Rows
+from stereorelight.engine.fastmath import f4, kernel
+from stereorelight.engine.light_rows import NEAREST2
+from stereorelight.engine.light_table import EXPONENT, FALL_LINEAR, FALL_NONE, FALL_SQUARE, IS_PLACE, WRAP_OFFSET, WRAP_SCALE
+from stereorelight.engine.spread import relit
+
+# As `light.LEAVES`, of what is in here of other files; this file must change whenever they do.
 LEAVES = "98543cc027d8cdb4"
+EIGHTS = "6142f6448ebad24e"
+TABLE = "909ff10c55dd6268"
+SPREAD = "ce2e89b5f29f8888"
 MOST_DOTS = 64
+PIXELS = 64  # that go through all steps together
+D2, N_L, R_V = 0, PIXELS, 2 * PIXELS  # where they stand in the room
+FRONT = D2  # the strength in front, once d^2 is used up
+ROOM = 3 * PIXELS
+NEAREST_Z, FARTHEST_Z = 1e-10, 1e15  # metres; what lies beyond is missing, as in light_rows.py
+
+
+def _dot(a: tuple[Eight, Eight, Eight], b: tuple[Eight, Eight, Eight]) -> Eight:
+    return a[0] * b[0] + (a[1] * b[1] + a[2] * b[2])
+
+
+def _faced_by(has_rays: bool) -> Any:
+    """The intrinsic that takes all dot products of a group, into the room: d^2, N.L and R.V, the last two times d."""
+
+    @intrinsic
+    def group(typingctx, x, y, Z, N, i, lx, ly, lz, w, room, at):
+        def body(context, builder, signature, args):
+            rows = Rows(context, builder, signature, args)
+            i, at = args[4], args[10]
+            one, nothing = rows.number(1), rows.number(0)
+            right = rows.read(0, i)
+            up = rows.read(1, i) if has_rays else rows.every(1)
+            depth = rows.read(2, i)
+            normal = rows.three_channels(3, builder.mul(i, ir.Constant(LONG, 3)))
+            known = depth.between(NEAREST_Z, FARTHEST_Z) & _dot(normal, normal).between(0.25, 4)
+            # P = Z (x, y, -1);  to the light: L - w P.
+            far = depth * rows.every(8)
+            light = rows.every(5) - far * right, rows.every(6) - far * up, rows.every(7) + far
+            # V = -(x, y, -1) / |(x, y, -1)|, whatever Z.
+            ray2 = right * right + (up * up + one)
+            n_ray = normal[0] * right + (normal[1] * up - normal[2])
+            l_ray = light[0] * right + (light[1] * up - light[2])
+            n_l = _dot(normal, light).where(known, rows.number(float("-inf")))  # where there is no surface, it faces away
+            r_v = (l_ray - (n_l + n_l) * n_ray) * (one / ray2.root())
+            rows.write(9, at, _dot(light, light).at_least(rows.number(float(NEAREST2))), D2)
+            rows.write(9, at, n_l, N_L)
+            rows.write(9, at, r_v.where(n_l.above(nothing), nothing), R_V)
+            return context.get_dummy_value()
+
+        return types.void(x, y, Z, N, i, lx, ly, lz, w, room, at), body
+
+    return group
+
+
+_faced_by_rays, _faced_by_pinhole = _faced_by(True), _faced_by(False)
+
+
+def _shone_on(has_matte: bool) -> Any:
+    """The intrinsic for the diffuse strength of a group, into e, and for R.V, 0 below `least`, and its strength, in the room."""
+
+    @intrinsic
+    def group(typingctx, room, at, ws, wo, a0, a1, a2, least, lit, li, e, ei):
+        def body(context, builder, signature, args):
+            rows = Rows(context, builder, signature, args)
+            at = args[1]
+            per = rows.number(1) / rows.read(0, at, D2).root()
+            facing = rows.read(0, at, N_L) * per * rows.every(2) + rows.every(3)
+            r_v = rows.read(0, at, R_V) * per
+            strength = rows.every(4) + per * (rows.every(5) + per * rows.every(6))
+            strength = strength * rows.read(8, args[9]) if has_matte else strength
+            rows.write(10, args[11], facing.at_least(rows.number(0)) * strength)
+            rows.write(0, at, r_v.where(r_v.above(rows.every(7)), rows.number(0)), R_V)
+            rows.write(0, at, strength, FRONT)
+            return context.get_dummy_value()
+
+        return types.void(room, at, ws, wo, a0, a1, a2, least, lit, li, e, ei), body
+
+    return group
+
+
+_shone_on_free, _shone_on_held = _shone_on(False), _shone_on(True)
+
+
+@intrinsic
+def _raised(typingctx, exponent, bit, room, s, si):
+    """s = R.V^exponent times its strength, for PIXELS pixels.   bit : the second highest of the exponent's places, as a number.
+
+    All of them stand in registers meanwhile, and each place of the exponent is asked for once."""
+
+    def body(context, builder, signature, args):
+        rows = Rows(context, builder, signature, args)
+        starts = range(0, PIXELS, GROUP)
+        none = ir.Constant(LONG, 0)
+        bases = [rows.read(2, none, R_V + start) for start in starts]
+        powers = [cgutils.alloca_once_value(builder, base.value) for base in bases]
+        place = cgutils.alloca_once_value(builder, args[1])
+
+        def multiplied(factors: Sequence[Eight]) -> None:
+            for power, factor in zip(powers, factors):
+                builder.store((Eight(builder, builder.load(power)) * factor).value, power)
+
+        asked, square, multiply, goes_on, done = (builder.append_basic_block(name) for name in ("asked", "square", "multiply", "goes_on", "done"))
+        builder.branch(asked)
+        builder.position_at_end(asked)
+        now = builder.load(place)
+        builder.cbranch(builder.icmp_signed(">", now, none), square, done)
+        builder.position_at_end(square)
+        multiplied([Eight(builder, builder.load(power)) for power in powers])
+        builder.cbranch(builder.icmp_signed("!=", builder.and_(now, args[0]), none), multiply, goes_on)
+        builder.position_at_end(multiply)
+        multiplied([rows.read(2, none, R_V + start) for start in starts])
+        builder.branch(goes_on)
+        builder.position_at_end(goes_on)
+        builder.store(builder.ashr(now, ir.Constant(LONG, 1)), place)
+        builder.branch(asked)
+        builder.position_at_end(done)
+        multiplied([rows.read(2, none, FRONT + start) for start in starts])
+        for power, start in zip(powers, starts):
+            rows.write(3, args[4], Eight(builder, builder.load(power)), start)
+        return context.get_dummy_value()
+
+    return types.void(exponent, bit, room, s, si), body
 
 
 @kernel(noalias=True)
-def one_light(n, x, y, lit, Z, N, lx, ly, lz, w, ws, wo, a0, a1, a2, e, h, front):
-    """Diffuse into e, and for the highlight 1 - R.V and the strength in front of the surface.   lit : what the matte lets through.
+def second_bit(exponent):
+    """Half of the largest power of two in a whole number >= 1."""
+    bit = 1
+    while 2 * bit <= exponent:
+        bit *= 2
+    return bit // 2
 
-    All dot products come straight from what was read, none waits for a root: it is the wait that costs.  R.V is 3e-7 off that way, which
-    exponents up to MOST_DOTS bear."""
-    for i in range(n):
-        d = Z[i] if Z[i] > f4(0) else f4(0)
-        px = x[i] * d
-        py = y[i] * d
-        nx = N[3 * i]
-        ny = N[3 * i + 1]
-        nz = N[3 * i + 2]
-        p2 = px * px + py * py + d * d
-        n2 = nx * nx + ny * ny + nz * nz
-        good = (p2 > f4(1e-20)) & (p2 < FARTHEST2) & (n2 > f4(0.25)) & (n2 < f4(4))
-        a = lx - w * px
-        b = ly - w * py
-        c = lz + w * d
-        d2 = a * a + b * b + c * c
-        d2 = NEAREST2 if d2 < NEAREST2 else d2
-        r = per_root(d2)
-        nl = (nx * a + ny * b + nz * c) * r
-        k = nl * ws + wo
-        k = k if k > f4(0) else f4(0)
-        strength = (a0 + r * (a1 + r * a2)) * lit[i]
-        e[i] = k * strength if good else f4(0)
-        front[i] = strength if good & (nl > f4(0)) else f4(0)
-        n_p = nx * px + ny * py - nz * d  # V = -P / |P|
-        l_p = (a * px + b * py - c * d) * r
-        h[i] = f4(1) - (l_p - (nl + nl) * n_p) * per_root(p2)
+
+@kernel(noalias=True, fastmath=False)
+def one_light(n, has_rays, has_matte, glows, keeps, q, least, x, y, up, Z, N, lit, plate, tones, room, e, s, out):
+    """n pixels of a row of a picture under one light, n >= PIXELS.
+
+    q : the light's row of the table;  x, y : rays, or x and the row's `up` for a pinhole;  lit : what the matte lets through;  room : (ROOM,);
+    keeps : whether e and s hold the whole row afterwards, for layers; else their beginning is written again and again."""
+    # Arrays are taken here as they came: each slice of one would count its owners, which costs as much as a group of pixels.
+    exponent = int(q[EXPONENT])
+    bit = second_bit(exponent)
+    if not glows:
+        for i in range(n if keeps else PIXELS):
+            s[i] = f4(0)
+    for start in range(0, n, PIXELS):
+        first = min(start, n - PIXELS)  # the last ones overlap those before them
+        at = first if keeps else 0
+        if has_rays:
+            for k in range(0, PIXELS, GROUP):
+                _faced_by_rays(x, y, Z, N, first + k, q[0], q[1], q[2], q[IS_PLACE], room, k)
+        else:
+            for k in range(0, PIXELS, GROUP):
+                _faced_by_pinhole(x, up, Z, N, first + k, q[0], q[1], q[2], q[IS_PLACE], room, k)
+        if has_matte:
+            for k in range(0, PIXELS, GROUP):
+                _shone_on_held(room, k, q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE], least, lit, first + k, e, at + k)
+        else:
+            for k in range(0, PIXELS, GROUP):
+                _shone_on_free(room, k, q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE], least, lit, first + k, e, at + k)
+        if glows:
+            _raised(exponent, bit, room, s, at)
+        for k in range(0, PIXELS, GROUP):
+            relit(e, at + k, s, at + k, plate, 3 * (first + k), tones, out, 3 * (first + k))

@@ -32,16 +32,17 @@ from stereorelight.engine.light_table import (
     WRAP_OFFSET,
     WRAP_SCALE,
 )
-from stereorelight.engine.one_light import MOST_DOTS, one_light
-from stereorelight.engine.spread import ROOM, TONES, layer_row, paint, relit_row
+from stereorelight.engine.one_light import MOST_DOTS, PIXELS, one_light
+from stereorelight.engine.one_light import ROOM as ONE_ROOM
+from stereorelight.engine.spread import ROOM, TONES, layer_row, paint
 from stereorelight.engine.stream import streamed
 
 # As in light_rows.py: this file must change whenever these do.
 LEAVES = "98543cc027d8cdb4"
-ONE = "75840f2a9315b116"
+ONE = "121b2d0bb82f4e69"
 TABLE = "909ff10c55dd6268"
 STREAM = "8a555a433ab59bd6"
-SPREAD = "da830ec7c320a773"
+SPREAD = "ce2e89b5f29f8888"
 SUMS = 13  # the first of six rows for sums
 ROWS = 24  # of a strip, see below
 
@@ -130,10 +131,11 @@ def plain_lights(
     T : (ROWS, STRIP + PADDING), room for one strip's rows;  streams : whether layers go past the caches."""
     W = N.shape[1] // 3
     count = lights.shape[0]
-    tail = np.zeros((3, 3 * VECTOR), np.float32)
+    tail = np.zeros((4, 3 * VECTOR), np.float32)
     px, py, pz, nx, ny, nz, vx, vy, vz, known = T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9]
     lit, e, s, dr, dg, db, sr, sg, sb, h, front = T[10], T[11], T[12], T[13], T[14], T[15], T[16], T[17], T[18], T[19], T[20]
     rx, ry, ones = T[21], T[22], T[23]
+    small = np.empty(ONE_ROOM, np.float32)
     columns = leaf.pinhole_columns(W + VECTOR, fx, cx)
     unit = unit_of(tail)
     least = np.empty(count, np.float32)
@@ -148,39 +150,33 @@ def plain_lights(
     if alone:
         alone = q[WINDOW] == f4(0) and q[PER_ANGLE] == f4(0) and (not glows or (squares(q[EXPONENT]) and q[EXPONENT] <= f4(MOST_DOTS)))
         leaf.fill(STRIP + VECTOR, f4(1), ones)
+    keeps = alone and (slots[0, DIFFUSE_SLOT] >= 0 or slots[0, SPECULAR_SLOT] >= 0)
     for y in range(first, end):
         for x in range(0, W, STRIP):
             m = min(STRIP, W - x)
             n = (m + VECTOR - 1) // VECTOR * VECTOR
             strip = slice(3 * x, 3 * (x + m))
             if alone:
-                whole = m // VECTOR * VECTOR
-                if slots[0, MATTE] >= 0:
+                held = slots[0, MATTE] >= 0
+                if held:
                     leaf.through_matte(m, ones, mattes[slots[0, MATTE], y, x : x + m], lit)
-                    lit[m:n] = f4(0)
-                shown = lit if slots[0, MATTE] >= 0 else ones
-                for part in range(2):
-                    i = 0 if part == 0 else whole
-                    width = whole if part == 0 else n - whole
-                    if width == 0:
-                        continue
-                    Ns = N[y, strip] if part == 0 else leaf.padded(N[y, 3 * (x + i) : 3 * (x + m)], tail[0])
-                    Zs = Z[y, x : x + m] if part == 0 else leaf.padded(Z[y, x + i : x + m], tail[1])
-                    if has_rays:
-                        rs = rays[y, 2 * x : 2 * (x + m)] if part == 0 else leaf.padded(rays[y, 2 * (x + i) : 2 * (x + m)], tail[2])
-                        leaf.taken_apart(width, rs, rx, ry)
-                    else:
-                        leaf.fill(width, (cy - f4(y)) / fy, ry)
-                    xs = rx if has_rays else columns[x + i :]
-                    one_light(
-                        width, xs, ry, shown[i:], Zs, Ns, q[0], q[1], q[2], q[IS_PLACE], q[WRAP_SCALE], q[WRAP_OFFSET],
-                        q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE], e[i:], h[i:], front[i:],
-                    )  # fmt: skip
-                if glows:
-                    leaf.lobe_whole(n, int(q[EXPONENT]), least[0], h, front, s)
+                if has_rays:
+                    leaf.taken_apart(m, rays[y, 2 * x : 2 * (x + m)], rx, ry)
+                if m >= PIXELS:
+                    Zs, Ns, plates, target = Z[y, x : x + m], N[y, strip], plate[y, strip], beauty[y, strip]
                 else:
-                    leaf.fill(n, f4(0), s)
-                relit_row(m, e, s, plate[y, strip], tones[0], room, beauty[y, strip])
+                    Zs, Ns, plates, target = (
+                        leaf.padded(Z[y, x : x + m], tail[0]),
+                        leaf.padded(N[y, strip], tail[1]),
+                        leaf.padded(plate[y, strip], tail[2]),
+                        tail[3],
+                    )
+                one_light(
+                    max(m, PIXELS), has_rays, held, glows, keeps, q, least[0], rx if has_rays else columns[x:], ry, (cy - f4(y)) / fy, Zs, Ns,
+                    lit, plates, tones[0], small, e, s, target,
+                )  # fmt: skip
+                if m < PIXELS:
+                    leaf.copy(3 * m, target, beauty[y, strip])
             else:
                 surface(y, x, m, n, has_P, has_rays, P, Z, rays, N, columns, fy, cy, tail, rx, ry, px, py, pz, nx, ny, nz, vx, vy, vz, known)
             if to_beauty and not alone:

@@ -12,75 +12,48 @@ from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
+from stereorelight.engine.eights import GROUP, Eight, Rows
 from stereorelight.engine.fastmath import kernel
 
-# As `light.LEAVES`, of fastmath.py.
+# As `light.LEAVES`, of fastmath.py and eights.py.
 FASTMATH = "66c93d0f0531acee"
-GROUP = 8  # pixels
+EIGHTS = "6142f6448ebad24e"
 VALUES = 3 * GROUP
 TONES = 3 * VALUES  # of gain, diffuse and specular
 ROOM = 2 * VALUES
 MOST = 1e30  # no colour is as bright: beyond it, infinite and NaN, a plate gives no light back
-_FUSED = ("contract",)
-_GROUP = ir.VectorType(ir.FloatType(), GROUP)
-_PIXELS = [[0, 0, 0, 1, 1, 1, 2, 2], [2, 3, 3, 3, 4, 4, 4, 5], [5, 5, 6, 6, 6, 7, 7, 7]]  # of which each of the 24 values takes its strength
+# Of which pixel each of the 24 values takes its strength, by eights: which two halves of the strengths are read, and which of these numbers.
+_HALVES = (0, 0), (0, 4), (4, 4)
+_PLACES = (0, 0, 0, 1, 5, 5, 6, 6), (2, 3, 3, 3, 4, 4, 4, 5), (1, 1, 2, 2, 6, 7, 7, 7)
 
 
-class _Rows:
-    """Vectors from and to flat rows, inside an intrinsic."""
+class _Spread(Rows):
+    def spread(self, row: int, index: Any, part: int) -> Eight:
+        """Strengths of the `part`-th eight of a group's values."""
+        strengths = self.read_halves(row, index, *_HALVES[part])
+        return strengths.picked(strengths, _PLACES[part])
 
-    def __init__(self, context: Any, builder: Any, signature: Any, args: Any) -> None:
-        self.builder, self.context = builder, context
-        self.data = [
-            context.make_array(kind)(context, builder, array).data if isinstance(kind, types.Array) else array
-            for kind, array in zip(signature.args, args)
-        ]
-
-    def place(self, row: int, index: Any, part: int = 0) -> Any:
-        at = self.builder.add(index, ir.Constant(ir.IntType(64), GROUP * part))
-        return self.builder.bitcast(self.builder.gep(self.data[row], [at]), _GROUP.as_pointer())
-
-    def read(self, row: int, index: Any, part: int = 0) -> Any:
-        return self.builder.load(self.place(row, index, part), align=4)
-
-    def tone(self, row: int, which: int, part: int) -> Any:
-        return self.read(row, ir.Constant(ir.IntType(64), VALUES * which), part)
-
-    def spread(self, strengths: Any, part: int) -> Any:
-        mask = ir.Constant(ir.VectorType(ir.IntType(32), GROUP), _PIXELS[part])
-        return self.builder.shuffle_vector(strengths, ir.Constant(_GROUP, ir.Undefined), mask)
-
-    def given_back(self, color: Any, light: Any) -> Any:
-        """color * light, 0 where the colour is none."""
-        size = cgutils.get_or_insert_function(self.builder.module, ir.FunctionType(_GROUP, [_GROUP]), "llvm.fabs.v8f32")
-        is_one = self.builder.fcmp_ordered("<", self.builder.call(size, [color]), ir.Constant(_GROUP, [MOST] * GROUP))
-        return self.builder.select(is_one, self.builder.fmul(color, light, flags=_FUSED), ir.Constant(_GROUP, [0.0] * GROUP))
-
-    def write(self, row: int, index: Any, part: int, value: Any, past_caches: bool) -> None:
-        store = self.builder.store(value, self.place(row, index, part), align=4 * GROUP if past_caches else 4)
-        if past_caches:
-            store.set_metadata("nontemporal", self.builder.module.add_metadata([ir.Constant(ir.IntType(32), 1)]))
+    def tone(self, row: int, which: int, part: int) -> Eight:
+        return self.read(row, ir.Constant(ir.IntType(64), VALUES * which), GROUP * part)
 
 
 @intrinsic
-def _relit(typingctx, e, s, i, plate, at, tones, out, to):
-    """A group of the plate with light on it."""
+def relit(typingctx, e, i, s, j, plate, at, tones, out, to):
+    """A group of the plate with light on it: plate * (gain + e * diffuse) + s * specular.
+
+    No test for colours that are none: infinite and NaN stay so, whatever light is on them."""
 
     def body(context, builder, signature, args):
-        rows = _Rows(context, builder, signature, args)
-        diffuse, specular = rows.read(0, args[2]), rows.read(1, args[2])
+        rows = _Spread(context, builder, signature, args)
         for part in range(3):
-            color = rows.read(3, args[4], part)
-            lit = rows.given_back(color, builder.fmul(rows.spread(diffuse, part), rows.tone(5, 1, part), flags=_FUSED))
-            glow = builder.fmul(rows.spread(specular, part), rows.tone(5, 2, part), flags=_FUSED)
-            held = builder.fmul(color, rows.tone(5, 0, part), flags=_FUSED)
-            rows.write(6, args[7], part, builder.fadd(held, builder.fadd(lit, glow, flags=_FUSED), flags=_FUSED), past_caches=False)
+            diffuse, specular = (rows.spread(row, args[row + 1], part) for row in (0, 2))
+            light = diffuse * rows.tone(6, 1, part) + rows.tone(6, 0, part)
+            rows.write(7, args[8], rows.read(4, args[5], GROUP * part) * light + specular * rows.tone(6, 2, part), GROUP * part)
         return context.get_dummy_value()
 
-    return types.void(e, s, i, plate, at, tones, out, to), body
+    return types.void(e, i, s, j, plate, at, tones, out, to), body
 
 
 def _layer_of(past_caches: bool, diffuse: bool) -> Any:
@@ -89,13 +62,13 @@ def _layer_of(past_caches: bool, diffuse: bool) -> Any:
     @intrinsic
     def group(typingctx, strengths, i, albedo, at, tones, out, to):
         def body(context, builder, signature, args):
-            rows = _Rows(context, builder, signature, args)
-            strength = rows.read(0, args[1])
+            rows = _Spread(context, builder, signature, args)
             for part in range(3):
-                light = rows.spread(strength, part)
-                light = rows.given_back(rows.read(2, args[3], part), light) if diffuse else light
-                light = builder.fmul(light, rows.tone(4, 1 if diffuse else 2, part), flags=_FUSED)
-                rows.write(5, args[6], part, light, past_caches)
+                light = rows.spread(0, args[1], part)
+                if diffuse:
+                    color = rows.read(2, args[3], GROUP * part)
+                    light = (color * light).where(color.size().below(rows.number(MOST)), rows.number(0))
+                rows.write(5, args[6], light * rows.tone(4, 1 if diffuse else 2, part), GROUP * part, past_caches)
             return context.get_dummy_value()
 
         return types.void(strengths, i, albedo, at, tones, out, to), body
@@ -130,20 +103,6 @@ def paint(gain, diffuse_r, diffuse_g, diffuse_b, specular_r, specular_g, specula
         tones[2 * VALUES + i] = specular_r
         tones[2 * VALUES + i + 1] = specular_g
         tones[2 * VALUES + i + 2] = specular_b
-
-
-@kernel(noalias=True)
-def relit_row(m, e, s, plate, tones, room, out):
-    """plate * gain + (plate * e * diffuse + s * specular) for m pixels.   e, s : (m + GROUP or more,);  room : (ROOM,)."""
-    whole = m // GROUP * GROUP
-    for i in range(0, whole, GROUP):
-        _relit(e, s, i, plate, 3 * i, tones, out, 3 * i)
-    if whole < m:
-        for k in range(3 * (m - whole)):
-            room[k] = plate[3 * whole + k]
-        _relit(e, s, whole, room, 0, tones, room, VALUES)
-        for k in range(3 * (m - whole)):
-            out[3 * whole + k] = room[VALUES + k]
 
 
 @kernel(forceinline=True)
