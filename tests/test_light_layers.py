@@ -20,6 +20,7 @@ from stereorelight.camera import Camera
 from stereorelight.engine import (
     area_rows,
     ball_rows,
+    dot_lights,
     eights,
     fastmath,
     light_rows,
@@ -28,7 +29,6 @@ from stereorelight.engine import (
     march,
     march_rays,
     march_tops,
-    one_light,
     other_lights,
     plain_lights,
     rows,
@@ -325,12 +325,12 @@ def test_picture_and_layers_from_one_pass_are_those_of_two() -> None:
 @pytest.mark.parametrize("exponent", [1, 2, 3, 5, 8, 21, 32, 77, 100, 127])
 @pytest.mark.parametrize("width", [19, 64, 600])
 def test_one_light_alone_is_what_it_is_among_others(exponent: int, width: int) -> None:
-    """A single light goes through a loop of its own; with a light of no strength beside it, it goes through the strips of many lights."""
+    """Lights whose highlights bear dot products have a loop of their own; beside a light with a window, of no strength, they have another."""
     _, N, plate = scene(9, 9, width)
     Z = np.random.default_rng(1).uniform(1, 5, (9, width)).astype(np.float32)
     Z[3, 4], Z[5, 6], N[7, 8], plate[2, 2] = np.nan, np.inf, np.nan, np.nan
     matte = np.linspace(0, 1, Z.size, dtype=np.float32).reshape(Z.shape)
-    off = PointLight(name="off", position_m=(0, 0, 0), intensity=0)
+    off = PointLight(name="off", position_m=(0, 0, 0), intensity=0, attenuation="radius", radius_m=9)
     kinds = (
         PointLight(name="a", position_m=(1, 1, 0), specular=0.5, exponent=exponent, wrap=0.3),
         PointLight(name="a", position_m=(0, 0, 0), specular=0.5, exponent=exponent, matte="skin", attenuation="linear"),
@@ -523,12 +523,13 @@ def test_the_cached_kernels_are_those_of_todays_files() -> None:
     pairs = (
         (fastmath, "FASTMATH", light_rows),
         (fastmath, "FASTMATH", area_rows),
-        (light_rows, "LEAVES", one_light),
+        (light_rows, "LEAVES", dot_lights),
         (light_rows, "LEAVES", plain_lights),
-        (eights, "EIGHTS", one_light),
-        (light_table, "TABLE", one_light),
-        (spread, "SPREAD", one_light),
-        (one_light, "ONE", plain_lights),
+        (eights, "EIGHTS", dot_lights),
+        (light_table, "TABLE", dot_lights),
+        (spread, "SPREAD", dot_lights),
+        (eights, "EIGHTS", plain_lights),
+        (dot_lights, "DOTS", plain_lights),
         (light_table, "TABLE", plain_lights),
         (light_rows, "LEAVES", other_lights),
         (plain_lights, "PLAIN", other_lights),

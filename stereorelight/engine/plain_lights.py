@@ -10,6 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from stereorelight.engine import light_rows as leaf
+from stereorelight.engine.dot_lights import MOST_DOTS, PIXELS, dot_lights, glows
+from stereorelight.engine.dot_lights import ROOM as ROOM_OF_DOTS
+from stereorelight.engine.eights import GROUP
 from stereorelight.engine.fastmath import f4, floor, kernel
 from stereorelight.engine.light_table import (
     AXIS,
@@ -32,19 +35,18 @@ from stereorelight.engine.light_table import (
     WRAP_OFFSET,
     WRAP_SCALE,
 )
-from stereorelight.engine.one_light import MOST_DOTS, PIXELS, one_light
-from stereorelight.engine.one_light import ROOM as ONE_ROOM
 from stereorelight.engine.spread import ROOM, TONES, layer_row, paint
 from stereorelight.engine.stream import streamed
 
 # As in light_rows.py: this file must change whenever these do.
 LEAVES = "98543cc027d8cdb4"
-ONE = "121b2d0bb82f4e69"
+EIGHTS = "6142f6448ebad24e"
+DOTS = "2c3b36a0b9075a60"
 TABLE = "909ff10c55dd6268"
 STREAM = "8a555a433ab59bd6"
-SPREAD = "ce2e89b5f29f8888"
+SPREAD = "d0bacb6509a1ac6c"
 SUMS = 13  # the first of six rows for sums
-ROWS = 24  # of a strip, see below
+ROWS = 23  # of a strip, see below
 
 
 @kernel(forceinline=True)
@@ -134,8 +136,8 @@ def plain_lights(
     tail = np.zeros((4, 3 * VECTOR), np.float32)
     px, py, pz, nx, ny, nz, vx, vy, vz, known = T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9]
     lit, e, s, dr, dg, db, sr, sg, sb, h, front = T[10], T[11], T[12], T[13], T[14], T[15], T[16], T[17], T[18], T[19], T[20]
-    rx, ry, ones = T[21], T[22], T[23]
-    small = np.empty(ONE_ROOM, np.float32)
+    rx, ry = T[21], T[22]
+    dots = np.zeros(ROOM_OF_DOTS, np.float32)
     columns = leaf.pinhole_columns(W + VECTOR, fx, cx)
     unit = unit_of(tail)
     least = np.empty(count, np.float32)
@@ -144,48 +146,41 @@ def plain_lights(
         q = lights[k]
         least[k] = least_base(q[EXPONENT])
         paint(gain, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], q[SPECULAR], q[SPECULAR + 1], q[SPECULAR + 2], tones[k])
-    q = lights[0] if count > 0 else gain
-    alone = count == 1 and to_beauty and own_albedo and not has_P
-    glows = alone and q[SPECULAR] + q[SPECULAR + 1] + q[SPECULAR + 2] > f4(0)
-    if alone:
-        alone = q[WINDOW] == f4(0) and q[PER_ANGLE] == f4(0) and (not glows or (squares(q[EXPONENT]) and q[EXPONENT] <= f4(MOST_DOTS)))
-        leaf.fill(STRIP + VECTOR, f4(1), ones)
-    keeps = alone and (slots[0, DIFFUSE_SLOT] >= 0 or slots[0, SPECULAR_SLOT] >= 0)
+    # No dot product may be asked for too much by an exponent, and what a cone or a window lets through is not known to dot_lights.py.
+    by_dots = count > 0 and to_beauty and own_albedo and not has_P
+    keeps = False
+    for k in range(count):
+        q = lights[k]
+        by_dots &= q[WINDOW] == f4(0) and q[PER_ANGLE] == f4(0) and (not glows(k, lights) or (squares(q[EXPONENT]) and q[EXPONENT] <= f4(MOST_DOTS)))
+        keeps |= slots[k, DIFFUSE_SLOT] >= 0 or slots[k, SPECULAR_SLOT] >= 0
+    kept = count if by_dots and keeps else 1
+    es, ss = np.empty((kept, STRIP + GROUP), np.float32), np.empty((kept, STRIP + GROUP), np.float32)  # strengths by light, for layers
     for y in range(first, end):
         for x in range(0, W, STRIP):
             m = min(STRIP, W - x)
             n = (m + VECTOR - 1) // VECTOR * VECTOR
             strip = slice(3 * x, 3 * (x + m))
-            if alone:
-                held = slots[0, MATTE] >= 0
-                if held:
-                    leaf.through_matte(m, ones, mattes[slots[0, MATTE], y, x : x + m], lit)
+            if by_dots:
                 if has_rays:
                     leaf.taken_apart(m, rays[y, 2 * x : 2 * (x + m)], rx, ry)
-                if m >= PIXELS:
-                    Zs, Ns, plates, target = Z[y, x : x + m], N[y, strip], plate[y, strip], beauty[y, strip]
-                else:
-                    Zs, Ns, plates, target = (
-                        leaf.padded(Z[y, x : x + m], tail[0]),
-                        leaf.padded(N[y, strip], tail[1]),
-                        leaf.padded(plate[y, strip], tail[2]),
-                        tail[3],
-                    )
-                one_light(
-                    max(m, PIXELS), has_rays, held, glows, keeps, q, least[0], rx if has_rays else columns[x:], ry, (cy - f4(y)) / fy, Zs, Ns,
-                    lit, plates, tones[0], small, e, s, target,
+                Zs, Ns, plates, target = Z[y, x : x + m], N[y, strip], plate[y, strip], beauty[y, strip]
+                if m < PIXELS:
+                    Zs, Ns, plates, target = leaf.padded(Zs, tail[0]), leaf.padded(Ns, tail[1]), leaf.padded(plates, tail[2]), tail[3]
+                dot_lights(
+                    m, has_rays, keeps, lights, slots, mattes, y, x, least, rx if has_rays else columns[x:], ry, (cy - f4(y)) / fy, Zs, Ns,
+                    plates, tones, dots, es, ss, target,
                 )  # fmt: skip
                 if m < PIXELS:
                     leaf.copy(3 * m, target, beauty[y, strip])
             else:
                 surface(y, x, m, n, has_P, has_rays, P, Z, rays, N, columns, fy, cy, tail, rx, ry, px, py, pz, nx, ny, nz, vx, vy, vz, known)
-            if to_beauty and not alone:
+            if to_beauty and not by_dots:
                 for row in range(SUMS, SUMS + 6):
                     leaf.fill(n, f4(0), T[row])
             for k in range(count):
                 q = lights[k]
                 shines = slots[k, SPECULAR_SLOT] >= 0 or q[SPECULAR] + q[SPECULAR + 1] + q[SPECULAR + 2] > f4(0)
-                if not alone:
+                if not by_dots:
                     matte = slots[k, MATTE]
                     reach(m, n, q, matte >= 0, mattes[matte, y, x : x + m] if matte >= 0 else known, px, py, pz, known, lit)
                     if shines:
@@ -202,12 +197,13 @@ def plain_lights(
                         )  # fmt: skip
                     elif to_beauty:
                         leaf.add(n, e, q[DIFFUSE], q[DIFFUSE + 1], q[DIFFUSE + 2], dr, dg, db)
+                light, glow = (es[min(k, kept - 1)], ss[min(k, kept - 1)]) if by_dots else (e, s)
                 for part in range(2):
                     slot = slots[k, DIFFUSE_SLOT] if part == 0 else slots[k, SPECULAR_SLOT]
                     if slot < 0:
                         continue
-                    layer_row(m, streams, part == 0, e if part == 0 else s, albedo[y, strip], tones[k], room, layers[slot, y, strip])
-            if to_beauty and not alone:
+                    layer_row(m, streams, part == 0, light if part == 0 else glow, albedo[y, strip], tones[k], room, layers[slot, y, strip])
+            if to_beauty and not by_dots:
                 if own_albedo:
                     leaf.write_relit_plate(m, plate[y, strip], gain[0], gain[1], gain[2], dr, dg, db, sr, sg, sb, beauty[y, strip])
                 else:

@@ -35,25 +35,34 @@ class _Spread(Rows):
         strengths = self.read_halves(row, index, *_HALVES[part])
         return strengths.picked(strengths, _PLACES[part])
 
-    def tone(self, row: int, which: int, part: int) -> Eight:
-        return self.read(row, ir.Constant(ir.IntType(64), VALUES * which), GROUP * part)
+    def tone(self, row: int, which: int, part: int, first: Any = None) -> Eight:
+        """The `part`-th eight of the pattern of gain, diffuse or specular light, of tones that begin at `first`."""
+        return self.read(row, ir.Constant(ir.IntType(64), 0) if first is None else first, VALUES * which + GROUP * part)
 
 
-@intrinsic
-def relit(typingctx, e, i, s, j, plate, at, tones, out, to):
-    """A group of the plate with light on it: plate * (gain + e * diffuse) + s * specular.
+def _relit_of(more: bool) -> Any:
+    """The intrinsic that puts light on a group of the plate: plate * (gain + e * diffuse) + s * specular; or `more` of it on what is there.
 
     No test for colours that are none: infinite and NaN stay so, whatever light is on them."""
 
-    def body(context, builder, signature, args):
-        rows = _Spread(context, builder, signature, args)
-        for part in range(3):
-            diffuse, specular = (rows.spread(row, args[row + 1], part) for row in (0, 2))
-            light = diffuse * rows.tone(6, 1, part) + rows.tone(6, 0, part)
-            rows.write(7, args[8], rows.read(4, args[5], GROUP * part) * light + specular * rows.tone(6, 2, part), GROUP * part)
-        return context.get_dummy_value()
+    @intrinsic
+    def group(typingctx, e, s, i, plate, at, tones, first, out, to):
+        def body(context, builder, signature, args):
+            rows = _Spread(context, builder, signature, args)
+            for part in range(3):
+                diffuse, specular = (rows.spread(row, args[2], part) for row in range(2))
+                gain, color, glow = (rows.tone(5, which, part, args[6]) for which in range(3))
+                light = diffuse * color if more else diffuse * color + gain
+                glow = specular * glow + rows.read(7, args[8], GROUP * part) if more else specular * glow
+                rows.write(7, args[8], rows.read(3, args[4], GROUP * part) * light + glow, GROUP * part)
+            return context.get_dummy_value()
 
-    return types.void(e, i, s, j, plate, at, tones, out, to), body
+        return types.void(e, s, i, plate, at, tones, first, out, to), body
+
+    return group
+
+
+relit, relit_more = _relit_of(False), _relit_of(True)
 
 
 def _layer_of(past_caches: bool, diffuse: bool) -> Any:

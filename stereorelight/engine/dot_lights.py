@@ -1,10 +1,11 @@
-"""One light alone, from Z and N to the relit plate, some dozen pixels at a time.
+"""Plain lights from Z and N to the relit plate, a few dozen pixels at a time.
 
 In: rows of rays, Z, N and the plate.  Out: rows of strengths on the surface, for layers, and of the picture.
 Frame: scene frame of the camera, metres.
-What is most frequent: a place or a direction, Lambert or Phong with a whole exponent, at most a matte, on the plate as its own albedo.
-A processor looks some hundred steps ahead.  So no step here waits long for the one before it: dot products, roots, powers and colours go one after
-the other over a few pixels, whose numbers stay in a small room in between; and memory is read and written all the time, not by turns."""
+What is most frequent: places and directions, Lambert or Phong with a whole exponent, at most a matte each, on the plate as its own albedo.
+A processor looks one or two hundred steps ahead, and no step here waits long for the one before it: dot products, roots, powers and colours
+go one after the other over a few pixels, whose numbers stay in a small room in between; and memory is read and written all the time, not by
+turns."""
 
 from __future__ import annotations
 
@@ -19,19 +20,30 @@ from numba.extending import intrinsic
 from stereorelight.engine.eights import GROUP, LONG, Eight, Rows
 from stereorelight.engine.fastmath import f4, kernel
 from stereorelight.engine.light_rows import NEAREST2
-from stereorelight.engine.light_table import EXPONENT, FALL_LINEAR, FALL_NONE, FALL_SQUARE, IS_PLACE, WRAP_OFFSET, WRAP_SCALE
-from stereorelight.engine.spread import relit
+from stereorelight.engine.light_table import (
+    EXPONENT,
+    FALL_LINEAR,
+    FALL_NONE,
+    FALL_SQUARE,
+    IS_PLACE,
+    MATTE,
+    SPECULAR,
+    WRAP_OFFSET,
+    WRAP_SCALE,
+)
+from stereorelight.engine.spread import TONES, relit, relit_more
 
 # As `light.LEAVES`, of what is in here of other files; this file must change whenever they do.
 LEAVES = "98543cc027d8cdb4"
 EIGHTS = "6142f6448ebad24e"
 TABLE = "909ff10c55dd6268"
-SPREAD = "ce2e89b5f29f8888"
+SPREAD = "d0bacb6509a1ac6c"
 MOST_DOTS = 64
 PIXELS = 64  # that go through all steps together
 D2, N_L, R_V = 0, PIXELS, 2 * PIXELS  # where they stand in the room
 FRONT = D2  # the strength in front, once d^2 is used up
-ROOM = 3 * PIXELS
+LIT = 3 * PIXELS  # what a matte lets through
+ROOM = 4 * PIXELS
 NEAREST_Z, FARTHEST_Z = 1e-10, 1e15  # metres; what lies beyond is missing, as in light_rows.py
 
 
@@ -79,7 +91,7 @@ def _shone_on(has_matte: bool) -> Any:
     """The intrinsic for the diffuse strength of a group, into e, and for R.V, 0 below `least`, and its strength, in the room."""
 
     @intrinsic
-    def group(typingctx, room, at, ws, wo, a0, a1, a2, least, lit, li, e, ei):
+    def group(typingctx, room, at, ws, wo, a0, a1, a2, least, e, ei):
         def body(context, builder, signature, args):
             rows = Rows(context, builder, signature, args)
             at = args[1]
@@ -87,18 +99,42 @@ def _shone_on(has_matte: bool) -> Any:
             facing = rows.read(0, at, N_L) * per * rows.every(2) + rows.every(3)
             r_v = rows.read(0, at, R_V) * per
             strength = rows.every(4) + per * (rows.every(5) + per * rows.every(6))
-            strength = strength * rows.read(8, args[9]) if has_matte else strength
-            rows.write(10, args[11], facing.at_least(rows.number(0)) * strength)
+            strength = strength * rows.read(0, at, LIT) if has_matte else strength
+            rows.write(8, args[9], facing.at_least(rows.number(0)) * strength)
             rows.write(0, at, r_v.where(r_v.above(rows.every(7)), rows.number(0)), R_V)
             rows.write(0, at, strength, FRONT)
             return context.get_dummy_value()
 
-        return types.void(room, at, ws, wo, a0, a1, a2, least, lit, li, e, ei), body
+        return types.void(room, at, ws, wo, a0, a1, a2, least, e, ei), body
 
     return group
 
 
 _shone_on_free, _shone_on_held = _shone_on(False), _shone_on(True)
+
+
+@intrinsic
+def _held(typingctx, mattes, i, room, at):
+    """What a matte lets through of a group; nothing where it is NaN."""
+
+    def body(context, builder, signature, args):
+        rows = Rows(context, builder, signature, args)
+        rows.write(2, args[3], rows.read(0, args[1]).at_least(rows.number(0)), LIT)
+        return context.get_dummy_value()
+
+    return types.void(mattes, i, room, at), body
+
+
+@intrinsic
+def _dark(typingctx, s, i):
+    """No highlight on a group."""
+
+    def body(context, builder, signature, args):
+        rows = Rows(context, builder, signature, args)
+        rows.write(0, args[1], rows.number(0))
+        return context.get_dummy_value()
+
+    return types.void(s, i), body
 
 
 @intrinsic
@@ -142,6 +178,12 @@ def _raised(typingctx, exponent, bit, room, s, si):
     return types.void(exponent, bit, room, s, si), body
 
 
+@kernel(forceinline=True)
+def glows(k, lights):
+    """Whether light k has a highlight."""
+    return lights[k, SPECULAR] + lights[k, SPECULAR + 1] + lights[k, SPECULAR + 2] > f4(0)
+
+
 @kernel(noalias=True)
 def second_bit(exponent):
     """Half of the largest power of two in a whole number >= 1."""
@@ -152,33 +194,55 @@ def second_bit(exponent):
 
 
 @kernel(noalias=True, fastmath=False)
-def one_light(n, has_rays, has_matte, glows, keeps, q, least, x, y, up, Z, N, lit, plate, tones, room, e, s, out):
-    """n pixels of a row of a picture under one light, n >= PIXELS.
+def dot_lights(m, has_rays, keeps, lights, slots, mattes, row, column, least, x, y, up, Z, N, plate, tones, room, e, s, out):
+    """m pixels of a row of a picture under one light or several.
 
-    q : the light's row of the table;  x, y : rays, or x and the row's `up` for a pinhole;  lit : what the matte lets through;  room : (ROOM,);
-    keeps : whether e and s hold the whole row afterwards, for layers; else their beginning is written again and again."""
+    lights, slots : tables of light_table.py;  mattes : (k, H, W), of which the pixels begin at (row, column);  least : (lights,), below which
+    R.V is dark;  x, y : rays, or x and the row's `up` for a pinhole;  Z, N, plate, out : PIXELS or more;  room : (ROOM,);
+    e, s : (lights, PIXELS or more) strengths, of the whole row if it `keeps` them for layers, else written again and again."""
     # Arrays are taken here as they came: each slice of one would count its owners, which costs as much as a group of pixels.
-    exponent = int(q[EXPONENT])
-    bit = second_bit(exponent)
-    if not glows:
-        for i in range(n if keeps else PIXELS):
-            s[i] = f4(0)
+    n = max(m, PIXELS)
+    wide = e.shape[1]
     for start in range(0, n, PIXELS):
         first = min(start, n - PIXELS)  # the last ones overlap those before them
-        at = first if keeps else 0
-        if has_rays:
-            for k in range(0, PIXELS, GROUP):
-                _faced_by_rays(x, y, Z, N, first + k, q[0], q[1], q[2], q[IS_PLACE], room, k)
-        else:
-            for k in range(0, PIXELS, GROUP):
-                _faced_by_pinhole(x, up, Z, N, first + k, q[0], q[1], q[2], q[IS_PLACE], room, k)
-        if has_matte:
-            for k in range(0, PIXELS, GROUP):
-                _shone_on_held(room, k, q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE], least, lit, first + k, e, at + k)
-        else:
-            for k in range(0, PIXELS, GROUP):
-                _shone_on_free(room, k, q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE], least, lit, first + k, e, at + k)
-        if glows:
-            _raised(exponent, bit, room, s, at)
-        for k in range(0, PIXELS, GROUP):
-            relit(e, at + k, s, at + k, plate, 3 * (first + k), tones, out, 3 * (first + k))
+        for k in range(lights.shape[0]):
+            at = k * wide + first if keeps else 0
+            if has_rays:
+                for i in range(0, PIXELS, GROUP):
+                    _faced_by_rays(x, y, Z, N, first + i, lights[k, 0], lights[k, 1], lights[k, 2], lights[k, IS_PLACE], room, i)
+            else:
+                for i in range(0, PIXELS, GROUP):
+                    _faced_by_pinhole(x, up, Z, N, first + i, lights[k, 0], lights[k, 1], lights[k, 2], lights[k, IS_PLACE], room, i)
+            matte = slots[k, MATTE]
+            if matte >= 0:
+                if m < PIXELS:
+                    for i in range(m):
+                        share = mattes[matte, row, column + i]
+                        room[LIT + i] = share if share > f4(0) else f4(0)
+                else:
+                    begins = (matte * mattes.shape[1] + row) * mattes.shape[2] + column + first
+                    for i in range(0, PIXELS, GROUP):
+                        _held(mattes, begins + i, room, i)
+                for i in range(0, PIXELS, GROUP):
+                    _shone_on_held(
+                        room, i, lights[k, WRAP_SCALE], lights[k, WRAP_OFFSET], lights[k, FALL_NONE], lights[k, FALL_LINEAR],
+                        lights[k, FALL_SQUARE], least[k], e, at + i,
+                    )  # fmt: skip
+            else:
+                for i in range(0, PIXELS, GROUP):
+                    _shone_on_free(
+                        room, i, lights[k, WRAP_SCALE], lights[k, WRAP_OFFSET], lights[k, FALL_NONE], lights[k, FALL_LINEAR],
+                        lights[k, FALL_SQUARE], least[k], e, at + i,
+                    )  # fmt: skip
+            if glows(k, lights):
+                exponent = int(lights[k, EXPONENT])
+                _raised(exponent, second_bit(exponent), room, s, at)
+            else:
+                for i in range(0, PIXELS, GROUP):
+                    _dark(s, at + i)
+            if k == 0:
+                for i in range(0, PIXELS, GROUP):
+                    relit(e, s, at + i, plate, 3 * (first + i), tones, 0, out, 3 * (first + i))
+            else:
+                for i in range(0, PIXELS, GROUP):
+                    relit_more(e, s, at + i, plate, 3 * (first + i), tones, k * TONES, out, 3 * (first + i))
