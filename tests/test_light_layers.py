@@ -348,6 +348,33 @@ def test_one_light_alone_is_what_it_is_among_others(exponent: int, width: int) -
             assert np.isfinite(alone).sum() == alone.size - 3
 
 
+@pytest.mark.parametrize("width", [19, 64, 2131])
+@pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.001, -0.001)])
+def test_several_lights_together_are_their_layers(width: int, distortion: tuple[float, ...]) -> None:
+    """Lights that bear dot products, one without a highlight and one through a matte: picture and layers from one pass, against layers from P."""
+    camera = camera_of(9, width, distortion)
+    _, N, plate = scene(9, 9, width)
+    rng = np.random.default_rng(2)
+    Z, matte = (rng.uniform(low, 5, (9, width)).astype(np.float32) for low in (1, -1))
+    matte = np.clip(matte, 0, 1)
+    Z[3, 4], N[7, 8], plate[2, 2], matte[1, 1] = np.nan, np.inf, np.nan, np.nan
+    lights = [
+        PointLight(name="a", position_m=(1, 1, 0), specular=0.5, exponent=21, matte="skin"),
+        DirectionalLight(name="b", azimuth_deg=20, elevation_deg=10, wrap=0.4, color=(1, 0.5, 0.2)),
+        PointLight(name="c", position_m=(-1, 0, 0), specular=0.5, exponent=64, attenuation="none"),
+    ]
+    beauty, layers = relight_with_layers(plate, Z, N, camera, lights, mattes={"skin": matte})
+    assert np.array_equal(beauty, relight_fused(plate, Z, N, camera, lights, mattes={"skin": matte}), equal_nan=True)
+    want = light_layers(position_from_depth(Z, camera), N, plate, lights, mattes={"skin": matte})
+    assert list(layers) == list(want)
+    for name, layer in want.items():
+        np.testing.assert_allclose(layers[name], layer, rtol=1e-4, atol=REFERENCE * layer.max())
+        assert not layers[name][3, 4].any()
+    assert not layers["light_a_diffuse"][1, 1].any()
+    np.testing.assert_allclose(beauty, comp.relight(plate, layers), rtol=1e-5, atol=FLOAT * np.nanmax(beauty))
+    assert np.isfinite(beauty).sum() == beauty.size - 3
+
+
 def test_plain_lights_do_not_wait_for_the_kernel_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """That kernel takes most of a minute to compile."""
 
