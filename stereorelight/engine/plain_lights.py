@@ -2,8 +2,9 @@
 
 In, out, frame: as in light.py.  Everything else (lights with a size, GGX, materials, rims) is other_lights.py, which takes ten times as long to
 compile and is not asked for where there is none of it.
-A row goes through in strips that stay in the cache; each step is a leaf loop over separate rows, which the compiler turns into vector code.
-Strips are padded to whole vectors, so a pixel's bits do not depend on where its row was cut."""
+Lights that bear dot products, which most are, go by dot_lights.py, where Z and the plate's own colours are given.  For the others a row goes
+through in strips that stay in the cache; each step is a leaf loop over separate rows, which the compiler turns into vector code.  Strips are
+padded to whole vectors, so a pixel's bits do not depend on where its row was cut."""
 
 from __future__ import annotations
 
