@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereorelight.engine.bending import bend_energy, plate_correction, slopes
+from stereorelight.engine.bending import plate_correction
+from stereorelight.engine.bends import bend_energy, slopes
 from stereorelight.engine.pyramid import SMALL, doubled, halved
 from stereorelight.threads import set_threads, usable_cores
 

@@ -10,15 +10,13 @@ bits come whatever the number of threads."""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any
-
 import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Float32
-from stereorelight.engine.fastmath import kernel, log2
-from stereorelight.engine.pyramid import carried_up, halved, in_blocks
+from stereorelight.engine.fastmath import kernel
+from stereorelight.engine.pyramid import block_rows, carry, halve
+from stereorelight.engine.turns import shared, together, turns_of
 
 f4 = np.float32
 LOOSER = 4  # how much larger a bend may be on a coarse grid before it counts as an edge: bends grow by 4 a level, steps do not
@@ -206,32 +204,113 @@ def _diagonal(begin, end, w, lx, ly, lxy, out):
         _diagonal_row(w[y], lx[y], above, ly[y], ly[y + 1] if y < H - 1 else nothing, crossed, lxy[y], out[y])
 
 
-def _solved(d: Float32, weight: Float32, pull: Float32, stiff: Float32, u: Float32, *, cut: float, steps: int) -> Float32:
-    """So many steps of conjugate gradients towards (weight + plate) u = pull - plate d; `u` is where to start, and is overwritten."""
-    links = tuple(np.empty_like(d) for _ in range(3))
-    inverse, r, p, before, force = (np.empty_like(d) for _ in range(5))
-    dots = np.zeros(d.shape[0], np.float64)  # at the first row of each block
-    in_blocks(lambda first, end: _links(first, end, d, stiff, f4(cut), *links), d)
-    in_blocks(lambda first, end: _diagonal(first, end, weight, *links, inverse), d)
-    in_blocks(lambda first, end: _begin(first, end, d, u, pull, weight, *links, inverse, r, dots), d)
-    left, beta = float(dots.sum()), f4(0)
-    before[:] = 0
+@njit(cache=True, nogil=True, error_model="numpy")
+def _halve_all(begin, end, d, weight, pull, stiff, half_d, half_weight, half_pull, half_stiff):
+    """A coarse pixel is four fine ones whose bends are four times larger: weight x 4, stiffness x 4 / 16."""
+    halve(begin, end, d, f4(0.25), f4(1), half_d)
+    halve(begin, end, weight, f4(1), f4(0), half_weight)
+    halve(begin, end, pull, f4(1), f4(0), half_pull)
+    halve(begin, end, stiff, f4(0.0625), f4(0), half_stiff)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sum_rows(begin, end, a, b, out):
+    for y in range(begin, end):
+        _sum_row(a[y], b[y], out[y])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _clear(begin, end, out):
+    out[begin:end] = f4(0)
+
+
+@njit(nogil=True, error_model="numpy")
+def _of_level(full, coarse, size):
+    """A map of a level, `size` as in `_correct`: the full size has its own, all others lie one behind another."""
+    h, w, place = size[1], size[2], size[3]
+    return full if size[0] == 0 else coarse[place : place + h * w].reshape(h, w)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solve(turns, step, dots, d, u, pull, weight, stiff, work, cut, rows, steps):
+    """So many steps of conjugate gradients towards (weight + plate) u = pull - plate d; `u` is where to start, and is overwritten.
+
+    work : (9, H W or more).   dots : (steps, H), at the first row of each block.   Returns the next step of the kernel.
+    """
+    H, W = d.shape
+    n = H * W
+    lx, ly, lxy = work[0, :n].reshape(H, W), work[1, :n].reshape(H, W), work[2, :n].reshape(H, W)
+    inverse, r, force = work[3, :n].reshape(H, W), work[4, :n].reshape(H, W), work[5, :n].reshape(H, W)
+    p, before = work[6, :n].reshape(H, W), work[7, :n].reshape(H, W)
+    for begin, end in shared(turns, step, H, rows):
+        _links(begin, end, d, stiff, cut, lx, ly, lxy)
+    step += 1
+    for begin, end in shared(turns, step, H, rows):
+        _diagonal(begin, end, weight, lx, ly, lxy, inverse)
+    step += 1
+    for begin, end in shared(turns, step, H, rows):
+        _clear(begin, end, before)
+    step += 1
+    left = dots[step]
+    for begin, end in shared(turns, step, H, rows):
+        _begin(begin, end, d, u, pull, weight, lx, ly, lxy, inverse, r, left)
+    step += 1
+    was, beta = left[:H:rows].sum(), f4(0)
     for _ in range(steps):
-        if not left > 0:
+        if not was > 0:
             break
-        in_blocks(partial(_spread, _push, (beta, inverse, r, before, weight, *links, p, force, dots)), d)
-        met = float(dots.sum())
-        if not met > 0:
+        met = dots[step]
+        for begin, end in shared(turns, step, H, rows):
+            _push(begin, end, beta, inverse, r, before, weight, lx, ly, lxy, p, force, met)
+        step += 1
+        product = met[:H:rows].sum()
+        if not product > 0:
             break
-        in_blocks(partial(_spread, _step, (f4(left / met), p, force, inverse, u, r, dots)), d)
-        after = float(dots.sum())
-        beta, left = f4(after / left), after
+        left = dots[step]
+        for begin, end in shared(turns, step, H, rows):
+            _step(begin, end, f4(was / product), p, force, inverse, u, r, left)
+        step += 1
+        now = left[:H:rows].sum()
+        beta, was = f4(now / was), now
         before, p = p, before
-    return u
+    return step
 
 
-def _spread(run: Any, given: tuple[Any, ...], first: int, end: int) -> None:
-    run(first, end, *given)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _correct(turns, dots, sizes, d, weight, pull, stiff, out, coarse, work, cut, finest, steps):
+    """`plate_correction`, by all threads together.
+
+    sizes : (levels, 5) of each level its number, height, width, place in `coarse`, and rows of a block.
+    coarse : (5, pixels of all levels but the first): disparity, weight, pull, stiffness and correction.   work : (9, H W).
+    """
+    step, levels = np.int64(0), len(sizes)
+    for level in range(1, levels):
+        fine, half = sizes[level - 1], sizes[level]
+        whole = _of_level(d, coarse[0], fine), _of_level(weight, coarse[1], fine), _of_level(pull, coarse[2], fine), _of_level(stiff, coarse[3], fine)
+        small = _of_level(d, coarse[0], half), _of_level(weight, coarse[1], half), _of_level(pull, coarse[2], half), _of_level(stiff, coarse[3], half)
+        for begin, end in shared(turns, step, half[1], half[4]):
+            _halve_all(begin, end, *whole, *small)
+        step += 1
+    for level in range(levels - 1, -1, -1):
+        size, rows = sizes[level], sizes[level, 4]
+        here, u = _of_level(d, coarse[0], size), _of_level(out, coarse[4], size)
+        if level == levels - 1:
+            for begin, end in shared(turns, step, size[1], rows):
+                _clear(begin, end, u)
+            step += 1
+        else:
+            below = sizes[level + 1]
+            h, w = below[1], below[2]
+            surface, solved, moved = work[8, : h * w].reshape(h, w), _of_level(d, coarse[0], below), _of_level(out, coarse[4], below)
+            for begin, end in shared(turns, step, h, below[4]):
+                _sum_rows(begin, end, solved, moved, surface)
+            step += 1
+            for begin, end in shared(turns, step, size[1], rows):
+                carry(begin, end, surface, moved, here, cut, u)
+            step += 1
+        if level >= finest:
+            of_level = _of_level(pull, coarse[2], size), _of_level(weight, coarse[1], size), _of_level(stiff, coarse[3], size)
+            step = _solve(turns, step, dots, here, u, *of_level, work, cut * f4(min(2**level, LOOSER)), rows, steps)
 
 
 def plate_correction(
@@ -245,81 +324,14 @@ def plate_correction(
              found is carried on to the full size as it is, a third of the time at 1.
     """
     stiff: Float32 = np.reciprocal(bend * bend)
-    pyramid = [(d, weight, pull, stiff)]
-    for _ in range(levels - 1):
-        d, weight, pull, stiff = pyramid[-1]
-        if min(d.shape) < 8:
-            break
-        # A coarse pixel is four fine ones whose bends are four times larger: weight x 4, stiffness x 4 / 16.
-        pyramid.append((halved(d, surface=True), halved(weight, times=1.0), halved(pull, times=1.0), halved(stiff, times=0.0625)))
-    finest = min(finest, len(pyramid) - 1)
-    coarse = pyramid[-1][0]
-    u = np.zeros_like(coarse)
-    for level in range(len(pyramid) - 1, -1, -1):
-        d, weight, pull, stiff = pyramid[level]
-        if level < finest:
-            u, coarse = carried_up(coarse, u, d, cut), d
-            continue
-        start = u if d is coarse else carried_up(coarse, u, d, cut)
-        u = _solved(d, weight, pull, stiff, start, cut=cut * min(2**level, LOOSER), steps=steps)
-        coarse = d
-    return u
-
-
-@_leaf
-def _energy_row(up, me, down, cut, floor, inner, logs, counts):
-    """`inner` : 0 on the first row and the last, where bends are not known."""
-    W = me.size
-    for x in range(1, W - 1):
-        xx, yy = me[x - 1] - f4(2) * me[x] + me[x + 1], up[x] - f4(2) * me[x] + down[x]
-        xy = me[x] - me[x + 1] - down[x] + down[x + 1]
-        known = inner if max(max(abs(xx), abs(yy)), abs(xy)) < cut else f4(0)
-        logs[x] = known * f4(np.log(2)) * log2(xx * xx + f4(2) * xy * xy + yy * yy + floor)
-        counts[x] = known
-    for x in (0, W - 1):
-        logs[x], counts[x] = f4(0), f4(0)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _energy(begin, end, d, cut, floor, logs, counts):
-    H = d.shape[0]
-    for y in range(begin, end):
-        _energy_row(d[max(y - 1, 0)], d[y], d[min(y + 1, H - 1)], cut, floor, f4(0 < y < H - 1), logs[y], counts[y])
-
-
-def bend_energy(d: Float32, *, cut: float, floor: float = 1e-10) -> tuple[Float32, Float32]:
-    """Logarithm of d_xx^2 + 2 d_xy^2 + d_yy^2 per pixel (H, W), px^2, and 1 where it is known: not at edges, where it is 0 and 0."""
-    logs, counts = np.empty_like(d), np.empty_like(d)
-    in_blocks(lambda begin, end: _energy(begin, end, d, f4(cut), f4(floor), logs, counts), d)
-    return logs, counts
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _slope_row(before, me, after, cut, out):
-    for x in range(me.size):
-        a, b = me[x] - before[x], after[x] - me[x]
-        flatter = a if abs(a) < abs(b) else b
-        out[x] = f4(0.5) * (a + b) if abs(a - b) < cut else flatter
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _slopes(begin, end, d, cut, out_x, out_y):
-    H, W = d.shape
-    before, after = np.empty(W, np.float32), np.empty(W, np.float32)
-    for y in range(begin, end):
-        me, up, down = d[y], d[max(y - 1, 0)], d[min(y + 1, H - 1)]
-        for x in range(W):
-            before[x] = me[x - 1] if x > 0 else f4(2) * me[0] - me[min(1, W - 1)]
-            after[x] = me[x + 1] if x < W - 1 else f4(2) * me[W - 1] - me[max(W - 2, 0)]
-        _slope_row(before, me, after, cut, out_x[y])
-        for x in range(W):
-            before[x] = up[x] if y > 0 else f4(2) * me[x] - down[x]
-            after[x] = down[x] if y < H - 1 else f4(2) * me[x] - up[x]
-        _slope_row(before, me, after, cut, out_y[y])
-
-
-def slopes(d: Float32, *, cut: float) -> tuple[Float32, Float32]:
-    """d/dx and d/dy (H, W): the mean of the differences on either side, or the flatter one where they differ by `cut`, an edge."""
-    out_x, out_y = np.empty_like(d), np.empty_like(d)
-    in_blocks(lambda begin, end: _slopes(begin, end, d, f4(cut), out_x, out_y), d)
-    return out_x, out_y
+    sizes = [(0, *d.shape, 0, block_rows(d.shape))]
+    while len(sizes) < levels and min(sizes[-1][1:3]) >= 8:
+        _, h, w, place, _ = sizes[-1]
+        shape = ((h + 1) // 2, (w + 1) // 2)
+        sizes.append((len(sizes), *shape, place + h * w if len(sizes) > 1 else 0, block_rows(shape)))
+    most = len(sizes) * (7 + 2 * steps)
+    coarse, work = np.empty((5, sum(h * w for _, h, w, _, _ in sizes[1:])), np.float32), np.empty((9, d.size), np.float32)
+    dots, out = np.zeros((most, d.shape[0]), np.float64), np.empty_like(d)
+    flat = np.array(sizes, np.int64)
+    together(_correct, turns_of(most), dots, flat, d, weight, pull, stiff, out, coarse, work, f4(cut), min(finest, len(sizes) - 1), steps)
+    return out

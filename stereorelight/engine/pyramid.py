@@ -18,13 +18,17 @@ SMALL = 60_000  # pixels of a picture that is not worth sharing out to threads: 
 ROWS = 40  # rows of a block
 
 
+def block_rows(shape: tuple[int, int]) -> int:
+    """Rows of a block of a map of this size: all of them where it is not worth sharing out."""
+    return ROWS if shape[0] * shape[1] > SMALL else shape[0]
+
+
 def in_blocks(run: Callable[[int, int], None], like: Float32) -> None:
     """Call `run(first, end)` for every block of the rows of `like`."""
-    for_rows = like.shape[0]
     if like.size <= SMALL:
-        run(0, for_rows)
+        run(0, like.shape[0])
     else:
-        in_row_blocks(run, for_rows, block_rows=ROWS)
+        in_row_blocks(run, like.shape[0], block_rows=ROWS)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -38,7 +42,8 @@ def _halve_row(a, b, times, lean, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _halve(begin, end, a, times, lean, out):
+def halve(begin, end, a, times, lean, out):
+    """Rows of `halved`."""
     H, W = a.shape
     beyond = np.empty(W, np.float32)
     for y in range(begin, end):
@@ -56,7 +61,7 @@ def halved(a: Float32, *, times: float = 0.25, surface: bool = False) -> Float32
     surface : an odd last row or column goes on as it leans; else it counts twice.
     """
     out = np.empty(((a.shape[0] + 1) // 2, (a.shape[1] + 1) // 2), np.float32)
-    in_blocks(lambda begin, end: _halve(begin, end, a, f4(times), f4(surface), out), out)
+    in_blocks(lambda begin, end: halve(begin, end, a, f4(times), f4(surface), out), out)
     return out
 
 
@@ -109,17 +114,10 @@ def _start_row(surface, correction, d, apart, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _carry(begin, end, surface, correction, d, apart, out):
+def carry(begin, end, surface, correction, d, apart, out):
+    """Where to start on a finer grid: the coarse `surface` itself where it is this pixel's surface, else its `correction`."""
     smooth, moved = np.empty(d.shape[1], np.float32), np.empty(d.shape[1], np.float32)
     for y in range(begin, end):
         _doubled_row(surface, y, f4(1), smooth)
         _doubled_row(correction, y, f4(0), moved)
         _start_row(smooth, moved, d[y], apart, out[y])
-
-
-def carried_up(coarse: Float32, correction: Float32, d: Float32, apart: float) -> Float32:
-    """Where to start on a finer grid: the coarse surface itself where it is this pixel's surface, else its correction."""
-    out = np.empty_like(d)
-    surface = coarse + correction
-    in_blocks(lambda begin, end: _carry(begin, end, surface, correction, d, f4(apart), out), d)
-    return out

@@ -26,13 +26,13 @@ keep_freed()  # whoever works on rows makes arrays of pictures
 
 
 @functools.cache
-def _pool() -> ThreadPoolExecutor:
+def row_threads() -> ThreadPoolExecutor:
     """Threads that stay: a recovery of depth shares out rows hundreds of times, and starting threads took a tenth of it."""
     return ThreadPoolExecutor(max_workers=max(1, numba.config.NUMBA_NUM_THREADS), thread_name_prefix="rows")
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked child has none of its parent's threads
+    os.register_at_fork(after_in_child=row_threads.cache_clear)  # a forked child has none of its parent's threads
 
 
 def in_row_blocks(run: Callable[[int, int], None], height: int, *, block_rows: int = BLOCK_ROWS) -> None:
@@ -58,7 +58,7 @@ def in_row_blocks(run: Callable[[int, int], None], height: int, *, block_rows: i
     count = min(numba.get_num_threads(), -(-height // block_rows))
     helpers: list[Future[None]] = []
     with contextlib.suppress(RuntimeError):  # where the interpreter is ending, no other thread takes new work
-        helpers += [_pool().submit(work) for _ in range(count - 1)]
+        helpers += [row_threads().submit(work) for _ in range(count - 1)]
     work()
     for helper in helpers:
         if not helper.cancel():  # one that never began, as where a pool's own thread asks for rows, is not waited for
@@ -75,7 +75,7 @@ def at_once(first: Callable[[], First], second: Callable[[], Second]) -> tuple[F
     if numba.get_num_threads() < 2:
         return first(), second()
     try:
-        helper = _pool().submit(second)
+        helper = row_threads().submit(second)
     except RuntimeError:  # the interpreter is ending
         return first(), second()
     try:

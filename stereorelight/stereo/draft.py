@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from stereorelight.arrays import Bool, Float32, UInt8
-from stereorelight.engine.bending import slopes
+from stereorelight.engine.bends import slopes
 from stereorelight.engine.resample import doubled_planes
 from stereorelight.engine.rows import at_once
 from stereorelight.stereo.halves import nearest

@@ -18,7 +18,8 @@ import cv2
 import numpy as np
 
 from stereorelight.arrays import Bool, Float32, UInt8
-from stereorelight.engine.bending import bend_energy, plate_correction, slopes
+from stereorelight.engine.bending import plate_correction
+from stereorelight.engine.bends import bend_energy, slopes
 from stereorelight.engine.edges import joined_to_sides, outlined, weighed_sides
 from stereorelight.engine.locking import locking_tables
 from stereorelight.engine.occlusion import background, unseen
