@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from stereorelight.engine.support import CHUNK, census, supported
+from stereorelight.engine.census import census
+from stereorelight.engine.support import CHUNK, supported
 from stereorelight.threads import set_threads, usable_cores
 
 f4 = np.float32

@@ -9,16 +9,13 @@ threads."""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
 from stereorelight.arrays import Float32, UInt8
-from stereorelight.engine.fastmath import float_of, kernel
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.census import CENSUS_STEPS, census_rows
+from stereorelight.engine.fastmath import float_of
+from stereorelight.engine.rows import BLOCK_ROWS
 from stereorelight.engine.support_vector import (
     LANES,
     back,
@@ -34,78 +31,16 @@ from stereorelight.engine.support_vector import (
     lesser,
     take_less,
 )
+from stereorelight.engine.turns import shared, together, turns_of
 
 f4 = np.float32
 i4 = np.int32
-u4 = np.uint32
 CHUNK = LANES  # disparities held at a time
 PART = CHUNK * CHUNK  # costs of a row of a block of `CHUNK` columns
 PLACE = 32  # costs that the processor fetches at a time
 SEGMENT = 16  # rows of which all sums from above are at hand
-REACH = 2  # px of the census window
 FAR = np.int32(0x7F000000)  # above every cost
-CENSUS_STEPS = 2 * ((2 * REACH + 1) ** 2 - 1)  # that two pixels can be apart
 MOST = 65_000.0  # the largest cost between rows and columns, where costs are whole numbers of 16 bits: half the memory to fetch
-
-
-_leaf = kernel(fastmath=False, noalias=True)
-
-
-@_leaf
-def _census_two(row, a, b, alike, out):
-    """Four more bits of each word of a row: `a`, `b` are its neighbours' rows, shifted."""
-    for x in range(row.size):
-        p, q = a[x] - row[x], b[x] - row[x]
-        first = (u4(p > alike) << u4(1)) | u4(p > -alike)
-        out[x] = (out[x] << u4(4)) | (first << u4(2)) | (u4(q > alike) << u4(1)) | u4(q > -alike)
-
-
-@_leaf
-def _census_five(row, a, b, c, d, e, alike, out):
-    """Ten more bits."""
-    for x in range(row.size):
-        p, q, r, s, t = a[x] - row[x], b[x] - row[x], c[x] - row[x], d[x] - row[x], e[x] - row[x]
-        first = (u4(p > alike) << u4(3)) | (u4(p > -alike) << u4(2)) | (u4(q > alike) << u4(1)) | u4(q > -alike)
-        then = (u4(r > alike) << u4(3)) | (u4(r > -alike) << u4(2)) | (u4(s > alike) << u4(1)) | u4(s > -alike)
-        out[x] = (out[x] << u4(10)) | (first << u4(6)) | (then << u4(2)) | (u4(t > alike) << u4(1)) | u4(t > -alike)
-
-
-@_leaf
-def _words(high, low, out):
-    for x in range(out.size):
-        out[x] = (np.uint64(high[x]) << np.uint64(24)) | np.uint64(low[x])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _census(first, end, grey, alike, out):
-    H, W = out.shape
-    wide = np.empty((2 * REACH + 1, W + 2 * REACH), np.float32)  # the rows about one, the border repeated
-    high, low = np.empty(W, np.uint32), np.empty(W, np.uint32)  # 24 bits each: half as wide, twice as many at once
-    for y in range(first, end):
-        for j in range(2 * REACH + 1):
-            row = grey[min(max(y + j - REACH, 0), H - 1)]
-            wide[j, :REACH], wide[j, REACH : REACH + W], wide[j, REACH + W :] = row[0], row, row[W - 1]
-        high[:], low[:] = u4(0), u4(0)
-        me = wide[REACH, REACH : REACH + W]
-        for j in (0, 1):
-            a, b, c, d, e = wide[j, 0:W], wide[j, 1 : W + 1], wide[j, 2 : W + 2], wide[j, 3 : W + 3], wide[j, 4 : W + 4]
-            _census_five(me, a, b, c, d, e, alike, high)
-        _census_two(me, wide[2, 0:W], wide[2, 1 : W + 1], alike, high)
-        _census_two(me, wide[2, 3 : W + 3], wide[2, 4 : W + 4], alike, low)
-        for j in (3, 4):
-            a, b, c, d, e = wide[j, 0:W], wide[j, 1 : W + 1], wide[j, 2 : W + 2], wide[j, 3 : W + 3], wide[j, 4 : W + 4]
-            _census_five(me, a, b, c, d, e, alike, low)
-        _words(high, low, out[y])
-
-
-def census(grey: Float32, *, alike: float) -> npt.NDArray[np.uint64]:
-    """(H, W) uint64: of each of 24 neighbours whether it is brighter, alike (within `alike` grey levels) or darker, two bits each.
-
-    The bits that differ between two such words are the steps that the answers are apart.
-    """
-    out = np.empty(grey.shape, np.uint64)
-    in_row_blocks(lambda a, b: _census(a, b, grey, f4(alike), out), grey.shape[0])
-    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -309,6 +244,47 @@ def _worth_down(first, end, weight, out):
                 m[i] = weight[b, y, i] * (m[i] + f4(1))
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _started(first, end, best, below, above, last, other):
+    """Nothing is known yet; `other` has more blocks than the rest."""
+    for b in range(first, end):
+        other[b] = FAR
+        if b < best.shape[0]:
+            best[b] = FAR
+            below[b], above[b], last[b] = f4(np.inf), f4(np.inf), f4(np.inf)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _support(turns, seen, found, highest, chunks, keep, alike, share, scale, terms):
+    """`supported`, by all threads together."""
+    left, left_grey, right_grey, words, other_words, given, across, across_worth, down, down_worth = seen
+    cost, best, below, above, last, other, answer, answer_right = found
+    H, W = left_grey.shape
+    blocks = best.shape[0]
+    step = np.int64(0)
+    for first, end in shared(turns, step, H, BLOCK_ROWS):
+        census_rows(first, end, left_grey, alike, words)
+        census_rows(first, end, right_grey, alike, other_words)
+        _alike(first, end, left, share, across, down)
+        _worth_across(first, end, across, across_worth)
+    step += 1
+    for first, end in shared(turns, step, blocks + chunks, 1):
+        _worth_down(first, min(end, blocks), down, down_worth)
+        _started(first, end, best, below, above, last, other)
+    step += 1
+    for chunk in range(chunks):
+        index = chunk * CHUNK
+        for first, end in shared(turns, step, H, BLOCK_ROWS):
+            _rows(first, end, words, left_grey, other_words, right_grey, scale, highest - index, terms, given, across, across_worth, cost)
+        step += 1
+        for turn in range(2):
+            for first, end in shared(turns, step, (blocks + 1 - turn) // 2, 1):
+                _columns(first, end, turn, W, down, down_worth, cost, index, keep, best, below, above, last, other)
+            step += 1
+    for first, end in shared(turns, step, H, BLOCK_ROWS):
+        _answers(first, end, best, below, above, other, keep, highest, answer, answer_right)
+
+
 def supported(
     left: UInt8,
     left_grey: Float32,
@@ -335,35 +311,19 @@ def supported(
     tones, reach_px : a neighbour counts 1/e where colour has changed by `tones` grey levels in all on the way, or this many px away.
     """
     H, W = left_grey.shape
-    words, other_words = census(left_grey, alike=alike), census(right_grey, alike=alike)
-    blocks = -(-W // CHUNK)
+    blocks, chunks = -(-W // CHUNK), -(-count // CHUNK)
     block = (blocks, H, CHUNK)  # where columns are gone along, 16 of them lie together: a column is read from end to end
-    across, across_worth, down_worth = np.empty((H, W), np.float32), np.empty((H, W), np.float32), np.empty(block, np.float32)
-    down = np.zeros(block, np.float32)
+    words, other_words = (np.empty((H, W), np.uint64) for _ in range(2))
+    across, across_worth, down, down_worth = (np.zeros(shape, np.float32) for shape in ((H, W), (H, W), block, block))
     share = np.exp(-np.arange(256, dtype=np.float32) / f4(tones) - 1 / f4(reach_px))
-    in_row_blocks(lambda a, b: _alike(a, b, left, share, across, down), H)
-    in_row_blocks(lambda a, b: _worth_across(a, b, across, across_worth), H)
-    in_row_blocks(lambda a, b: _worth_down(a, b, down, down_worth), blocks, block_rows=4)
     given = np.full((H, W), np.nan, np.float32) if given is None else given
-    chunks = -(-count // CHUNK)
-    keep = i4(-(1 << int(chunks * CHUNK).bit_length()))
-    cost = np.empty((*block, CHUNK), np.uint16)
+    keep = i4(-(1 << int(chunks * CHUNK).bit_length()))  # all bits but those that hold a disparity's index
     scale = MOST / (CENSUS_STEPS * step + cap_levels + limit)  # of costs: as fine as whole numbers allow
     terms = tuple(f4(scale * a) for a in (cap_levels, step, pull, limit))
-    best, other = np.full(block, FAR, np.int32), np.full((blocks + chunks, H, CHUNK), FAR, np.int32)
-    below, above, last = (np.full(block, np.inf, np.float32) for _ in range(3))
-    highest = low + count - 1
-    for index in range(0, chunks * CHUNK, CHUNK):
-        top = highest - index
-        of_row = (words, left_grey, other_words, right_grey, f4(scale), top, terms, given, across, across_worth, cost)
-        in_row_blocks(partial(_spread, _rows, of_row), H)
-        for turn in (0, 1):
-            of_column = (turn, W, down, down_worth, cost, index, keep, best, below, above, last, other)
-            in_row_blocks(partial(_spread, _columns, of_column), (blocks + 1 - turn) // 2, block_rows=3)
+    best, other = np.empty(block, np.int32), np.empty((blocks + chunks, H, CHUNK), np.int32)
+    below, above, last = (np.empty(block, np.float32) for _ in range(3))
     answer, answer_right = np.empty((H, W), np.float32), np.empty((H, W), np.float32)
-    in_row_blocks(lambda a, b: _answers(a, b, best, below, above, other, keep, highest, answer, answer_right), H)
+    seen = (left, left_grey, right_grey, words, other_words, given, across, across_worth, down, down_worth)
+    found = (np.empty((*block, CHUNK), np.uint16), best, below, above, last, other, answer, answer_right)
+    together(_support, turns_of(3 + 3 * chunks), seen, found, low + count - 1, chunks, keep, f4(alike), share, f4(scale), terms)
     return answer, answer_right
-
-
-def _spread(kernel: Any, given: tuple[Any, ...], first: int, end: int) -> None:
-    kernel(first, end, *given)
