@@ -6,8 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
+from stereorelight.engine.evidence import held_evidence, left_over
 from stereorelight.engine.locking import locking_tables
-from stereorelight.engine.photometric import held_evidence, photometric_evidence
+from stereorelight.engine.photometric import photometric_evidence, row_splines, spline_residual
+from stereorelight.engine.pyramid import halved
 from stereorelight.engine.windows import Seen, less_local_means
 
 f4 = np.float32
@@ -47,9 +49,20 @@ def test_held_evidence_is_evidence_by_local_noise_and_a_prior(size: tuple[int, i
     trust = rng.choice([0.02, 0.1, 1.0], size).astype(f4)
     seen = Seen.where(trust > f4(0.02))
     residual, rate = (rng.normal(0, 3, size).astype(f4) * seen.here for _ in range(2))
-    got = held_evidence(d, residual, rate, trust, seen, matched, most2=20.0, floor2=0.5, grain2=2.0, tables=TABLES, priors=(0.001, 0.03))
+    *got, small = held_evidence(d, residual, rate, trust, seen, matched, most2=20.0, floor2=0.5, grain2=2.0, tables=TABLES, priors=(0.001, 0.03))
     noise2 = np.maximum(mean_of(np.minimum(residual**2, f4(20)), seen.here, 9), 0.5).astype(f4)
     weight, pull = photometric_evidence(d, residual, rate, noise2, mean_of(rate * rate, seen.here, 9).astype(f4), trust, grain2=2.0, tables=TABLES)
     prior = np.where(seen.here > 0, f4(0.03), f4(0.001))
     for mine, theirs in zip(got, (weight + prior, pull + prior * (matched - d))):
         assert np.abs(mine - theirs).max() < 1e-4 * np.abs(theirs).max()
+    np.testing.assert_array_equal(small, halved(halved(got[0])))
+
+
+def test_what_is_left_over_is_the_difference_less_its_local_means() -> None:
+    rng = np.random.default_rng(2)
+    left, right, d = (rng.uniform(0, 9, (40, 53)).astype(f4) for _ in range(3))
+    seen = Seen.where(rng.random((40, 53)) > 0.2)
+    splines = row_splines(left), row_splines(right)
+    wanted = less_local_means(*spline_residual(left, *splines, d, seen.here), seen)
+    for mine, theirs in zip(left_over(left, *splines, d, seen), wanted, strict=True):
+        np.testing.assert_array_equal(mine, theirs)

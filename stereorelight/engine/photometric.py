@@ -11,7 +11,6 @@ from stereorelight.arrays import Float32
 from stereorelight.engine.fastmath import kernel
 from stereorelight.engine.locking import FRACTIONS, POLE, Tables, locking_tables
 from stereorelight.engine.rows import in_row_blocks
-from stereorelight.engine.windows import Seen, row_sum_square_9
 
 f4 = np.float32
 i4 = np.int32
@@ -107,7 +106,8 @@ def _difference_row(row, own, other, d, seen, residual, rate):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _differences(first, end, left, left_spline, right_spline, disparity, seen, residual, rate):
+def differences(first, end, left, left_spline, right_spline, disparity, seen, residual, rate):
+    """Rows of `spline_residual`."""
     W = left.shape[1]
     own, other = np.empty(W + 3, np.float32), np.empty(W + 3, np.float32)
     for y in range(first, end):
@@ -124,12 +124,13 @@ def spline_residual(
     seen : (H, W), 1 or 0: both are 0 where it is."""
     residual, rate = np.empty_like(left), np.empty_like(left)
     given = (left, left_spline, right_spline, disparity, np.ones_like(left) if seen is None else seen, residual, rate)
-    in_row_blocks(lambda first, end: _differences(first, end, *given), left.shape[0])
+    in_row_blocks(lambda first, end: differences(first, end, *given), left.shape[0])
     return residual, rate
 
 
 @_leaf
-def _evidence_row(disparity, residual, rate, left2, floor2, rate2, trust, grain2, locking, steepness, noise, weight, pull):
+def evidence_row(disparity, residual, rate, left2, floor2, rate2, trust, grain2, locking, steepness, noise, weight, pull):
+    """A row of `photometric_evidence`."""
     for x in range(disparity.size):
         u = f4(x) - disparity[x]
         t = i4((u - np.floor(u)) * f4(FRACTIONS))
@@ -152,22 +153,7 @@ def _evidence_row(disparity, residual, rate, left2, floor2, rate2, trust, grain2
 @njit(cache=True, nogil=True, error_model="numpy")
 def _evidence(first, end, disparity, residual, rate, noise2, rate2, trust, grain2, locking, steepness, noise, weight, pull):
     for y in range(first, end):
-        _evidence_row(disparity[y], residual[y], rate[y], noise2[y], f4(0), rate2[y], trust[y], grain2, locking, steepness, noise, weight[y], pull[y])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _held(first, end, disparity, residual, rate, trust, seen, per, matched, tuning, locking, steepness, noise, weight, pull):
-    usual9, floor2, grain2, prior_unseen, prior_seen = tuning
-    W = disparity.shape[1]
-    wide, noise2, rate2 = np.empty(W + 8, np.float32), np.empty(W, np.float32), np.empty(W, np.float32)
-    for y in range(first, end):
-        row_sum_square_9(residual, y, usual9, per[y], wide, noise2)
-        row_sum_square_9(rate, y, f4(np.inf), per[y], wide, rate2)
-        _evidence_row(disparity[y], residual[y], rate[y], noise2, floor2, rate2, trust[y], grain2, locking, steepness, noise, weight[y], pull[y])
-        for x in range(W):
-            prior = prior_seen if seen[y, x] > 0 else prior_unseen
-            weight[y, x] += prior
-            pull[y, x] += prior * (matched[y, x] - disparity[y, x])
+        evidence_row(disparity[y], residual[y], rate[y], noise2[y], f4(0), rate2[y], trust[y], grain2, locking, steepness, noise, weight[y], pull[y])
 
 
 def photometric_evidence(
@@ -193,34 +179,6 @@ def photometric_evidence(
     weight, pull = np.empty_like(disparity), np.empty_like(disparity)
     given = (disparity, residual, rate, noise2, rate2, trust, f4(grain2), *(tables or locking_tables(1.0)), weight, pull)
     in_row_blocks(lambda first, end: _evidence(first, end, *given), disparity.shape[0])
-    return weight, pull
-
-
-def held_evidence(
-    disparity: Float32,
-    residual: Float32,
-    rate: Float32,
-    trust: Float32,
-    seen: Seen,
-    matched: Float32,
-    *,
-    most2: float,
-    floor2: float,
-    grain2: float,
-    tables: Tables,
-    priors: tuple[float, float],
-) -> tuple[Float32, Float32]:
-    """`photometric_evidence`, with the noise of the pictures measured over what is `seen` of 9 x 9, held to a disparity that was `matched`.
-
-    residual, rate : 0 where nothing is seen.
-    most2, floor2  : grey levels squared; a square that counts no more than that for the noise, and what the noise is at least.
-    grain2         : variance of either picture's grain, grey levels squared.   tables: of `locking_tables`, what that grain does.
-    priors         : weight of the matched disparity, 1/px^2, where nothing is seen, and elsewhere.
-    """
-    weight, pull = np.empty_like(disparity), np.empty_like(disparity)
-    tuning = tuple(f4(a) for a in (most2, floor2, grain2, *priors))
-    given = (disparity, residual, rate, trust, seen.here, seen.per_9, matched, tuning, *tables, weight, pull)
-    in_row_blocks(lambda first, end: _held(first, end, *given), disparity.shape[0])
     return weight, pull
 
 

@@ -94,7 +94,8 @@ def _doubled_row(a, y, lean, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _double(begin, end, a, lean, out):
+def double(begin, end, a, lean, out):
+    """Rows of `doubled`."""
     for y in range(begin, end):
         _doubled_row(a, y, lean, out[y])
 
@@ -102,7 +103,7 @@ def _double(begin, end, a, lean, out):
 def doubled(a: Float32, shape: tuple[int, int], *, surface: bool = False) -> Float32:
     """The inverse of `halved`, linear between the cells' centres; beyond the outer ones constant, or a `surface` as it leans."""
     out = np.empty(shape, np.float32)
-    in_blocks(lambda begin, end: _double(begin, end, a, f4(surface), out), out)
+    in_blocks(lambda begin, end: double(begin, end, a, f4(surface), out), out)
     return out
 
 

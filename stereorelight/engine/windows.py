@@ -123,7 +123,8 @@ def _minus(a, mean, seen, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _less_means(first, end, a, b, seen, per, out_a, out_b):
+def less_means(first, end, a, b, seen, per, out_a, out_b):
+    """Rows of `less_local_means`."""
     W = a.shape[1]
     wide, mean = np.empty(W + 6, np.float32), np.empty(W, np.float32)
     for y in range(first, end):
@@ -136,5 +137,5 @@ def _less_means(first, end, a, b, seen, per, out_a, out_b):
 def less_local_means(a: Float32, b: Float32, seen: Seen) -> tuple[Float32, Float32]:
     """Two maps, 0 where nothing is `seen`, less their means over what is seen of the 7 x 7 about each pixel; 0 where nothing is."""
     out_a, out_b = np.empty_like(a), np.empty_like(b)
-    in_row_blocks(lambda first, end: _less_means(first, end, a, b, seen.here, seen.per_7, out_a, out_b), a.shape[0])
+    in_row_blocks(lambda first, end: less_means(first, end, a, b, seen.here, seen.per_7, out_a, out_b), a.shape[0])
     return out_a, out_b

@@ -19,15 +19,16 @@ import numpy as np
 
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.bending import plate_correction
-from stereorelight.engine.bends import bend_energy, slopes
+from stereorelight.engine.bends import bend_energies, slopes
 from stereorelight.engine.edges import joined_to_sides, outlined, weighed_sides
+from stereorelight.engine.evidence import held_evidence, left_over
 from stereorelight.engine.locking import locking_tables
 from stereorelight.engine.occlusion import background, unseen
-from stereorelight.engine.photometric import held_evidence, row_splines, spline_residual
+from stereorelight.engine.photometric import row_splines
 from stereorelight.engine.pyramid import doubled, halved
 from stereorelight.engine.refine import blended, robust_planes
 from stereorelight.engine.rows import at_once
-from stereorelight.engine.windows import Seen, less_local_means
+from stereorelight.engine.windows import Seen
 from stereorelight.stereo.hints import on_matte_edge
 from stereorelight.stereo.proxy import Proxy
 
@@ -132,11 +133,6 @@ def _grown(a: Float32, shape: tuple[int, int]) -> Float32:
     return doubled(doubled(a, ((shape[0] + 1) // 2, (shape[1] + 1) // 2)), shape)
 
 
-def _mean_weight(weight: Float32) -> Float32:
-    """Local mean, on the quarter-size grid."""
-    return cv2.GaussianBlur(_shrunk(weight, 2), (0, 0), BEND_RADIUS / 4)
-
-
 def clumped(weight: Float32, pull: Float32) -> Float32:
     """How far the evidence's errors hang together, (H, W): mean square of the pulls' sums over 8 x 8 px, over the sums of their weights.
 
@@ -153,14 +149,11 @@ def clumped(weight: Float32, pull: Float32) -> Float32:
 def bends_seen(disparity: Float32) -> list[Float32]:
     """Mean squares of the bends about each pixel, px^2 per px^4, on the quarter-size grid, as seen on grids of the full size, a half, a quarter
     and an eighth."""
-    shape = ((disparity.shape[0] + 3) // 4, (disparity.shape[1] + 3) // 4)
-    seen, d = [], disparity
-    for k in range(4):
-        logs, counts = bend_energy(d, cut=CUT_PX * min(2**k, 4))
-        logs, counts = (_shrunk(a, 2 - k) if k < 3 else doubled(a, shape) for a in (logs, counts))
-        logs, counts = (cv2.GaussianBlur(a, (0, 0), BEND_RADIUS / 4) for a in (logs, counts))
-        seen.append(np.exp(logs / np.maximum(counts, np.float32(1e-3))) * np.float32(GEOMETRIC / 16**k))
-        d = halved(d, surface=True)
+    logs, counts = bend_energies(disparity, cut=CUT_PX)
+    seen = []
+    for k in range(len(logs)):
+        log, count = (cv2.GaussianBlur(a, (0, 0), BEND_RADIUS / 4) for a in (logs[k], counts[k]))
+        seen.append(np.exp(log / np.maximum(count, np.float32(1e-3))) * np.float32(GEOMETRIC / 16**k))
     return seen
 
 
@@ -225,13 +218,12 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
     seen = Seen.where(cv2.erode(both, np.ones((1, 1 + BESIDE_PX), np.uint8), anchor=(0, 0)) > 0)
 
     def evidence(d: Float32) -> tuple[Float32, Float32, Float32]:
-        # A difference of brightness over a neighbourhood is exposure, not disparity.
-        residual, rate = less_local_means(*spline_residual(proxy.left_grey, left_spline, right_spline, d, seen.here), seen)
+        residual, rate = left_over(proxy.left_grey, left_spline, right_spline, d, seen)
         few = residual[::4, ::4][seen.here[::4, ::4] > 0]
         usual = (2.2 * float(np.median(few * few)) if few.size else 0.0) + NOISE_FLOOR**2
         tuning = {"most2": 9 * usual, "floor2": NOISE_FLOOR**2, "grain2": grain2}
-        weight, pull = held_evidence(d, residual, rate, trust, seen, disparity, **tuning, tables=tables, priors=(UNSEEN_PRIOR, PRIOR))
-        return weight, pull, _mean_weight(weight)
+        weight, pull, mean = held_evidence(d, residual, rate, trust, seen, disparity, **tuning, tables=tables, priors=(UNSEEN_PRIOR, PRIOR))
+        return weight, pull, cv2.GaussianBlur(mean, (0, 0), BEND_RADIUS / 4)
 
     d = disparity
     bend: Float32 | None = None
@@ -241,7 +233,7 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
         bend = np.full_like(mean, BEND) if bend is None else expected_bend(energies, mean, bend)
         finest, steps = (effort.finest, effort.steps) if k < effort.rounds - 1 else (0, effort.last)
         moved = plate_correction(d, weight, pull, _grown(bend, d.shape), cut=CUT_PX, levels=LEVELS, steps=steps, finest=finest)
-        d = d + np.clip(moved, -1, 1)
+        d = np.add(d, np.clip(moved, -1, 1, out=moved), out=moved)
     assert bend is not None
     return Surface(disparity=d, weight=mean, bend=bend, clumped=clumped(weight, pull))
 
