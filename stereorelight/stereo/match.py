@@ -15,7 +15,8 @@ import numpy.typing as npt
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.camera import RectifiedRig
 from stereorelight.engine.occlusion import background, consistent
-from stereorelight.engine.rows import at_once, in_row_blocks
+from stereorelight.engine.rows import at_once
+from stereorelight.engine.sixteenths import NOWHERE, as_pixels, coded, kept
 from stereorelight.engine.support import supported
 from stereorelight.errors import PlateError
 from stereorelight.stereo.halves import half_proxy, nearest
@@ -32,7 +33,6 @@ BLOCK = 3
 MOST_CELLS = 400_000_000  # pixels times disparities that eight directions are kept for, at about 4 bytes each
 SPECKLE_PX = 60  # an island of disparity smaller than this is a wrong match
 SUPPORT_SPECKLE_PX = 40  # the same of adaptive support, in clean plates
-NOWHERE = -32768
 NOISY = 3.2  # grey levels of noise from which matching is made stiffer with it
 HALF_SMALLEST_PX = 64  # of half a picture's side that is worth matching
 HALF_AGREES_PX = 1.5  # whole half-size pixels cannot agree better
@@ -98,10 +98,6 @@ def _raw(matcher: Any, picture: UInt8, other: UInt8, *, before: int, after: int)
     return np.ascontiguousarray(raw)
 
 
-def _as_pixels(sixteenths: np.ndarray, lowest: int) -> Float32:
-    return np.where(sixteenths >= 16 * lowest, sixteenths.astype(np.float32) / 16, np.float32(np.nan))
-
-
 def everywhere(disparity: Float32) -> Float32:
     """`disparity` with the background's value where it has none."""
     known: Bool = np.isfinite(disparity)
@@ -121,7 +117,7 @@ def _matcher(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, 
 
 def _left_px(matcher: cv2.StereoSGBM, proxy: Proxy, search: DisparityRange) -> Float32:
     raw = _raw(matcher, proxy.left, proxy.right, before=max(0, search.high), after=max(0, -search.low))
-    return _as_pixels(raw, search.low)
+    return as_pixels(raw, search.low)
 
 
 def both_eyes(proxy: Proxy, search: DisparityRange) -> tuple[Float32, Float32]:
@@ -138,24 +134,14 @@ def semi_global(proxy: Proxy, search: DisparityRange) -> Match:
 
 def without_speckles(disparity: Float32, smallest_px: int) -> Float32:
     """`disparity`, NaN on islands of fewer pixels."""
-    sixteenths, out = np.empty(disparity.shape, np.int16), np.empty_like(disparity)
-
-    def coded(first: int, end: int) -> None:
-        whole = np.clip(np.rint(disparity[first:end] * 16), -32000, 32000)
-        sixteenths[first:end] = np.where(np.isnan(whole), NOWHERE, whole)
-
-    def kept(first: int, end: int) -> None:
-        out[first:end] = np.where(sixteenths[first:end] == NOWHERE, np.float32(np.nan), disparity[first:end])
-
-    in_row_blocks(coded, disparity.shape[0], block_rows=64)
+    sixteenths = coded(disparity)
     cv2.filterSpeckles(sixteenths, NOWHERE, smallest_px, 16)
-    in_row_blocks(kept, disparity.shape[0], block_rows=64)
-    return out
+    return kept(disparity, sixteenths)
 
 
 def _right_px(matcher: cv2.StereoSGBM, proxy: Proxy, search: DisparityRange) -> Float32:
     raw = _raw(cv2.ximgproc.createRightMatcher(matcher), proxy.right, proxy.left, before=max(0, -search.low), after=max(0, search.high))
-    return -_as_pixels(raw, 1 - search.high)  # the right matcher counts x_right - x_left
+    return as_pixels(raw, 1 - search.high, sign=-1)  # the right matcher counts x_right - x_left
 
 
 def _plain(grey: Float32, most: float, window: tuple[int, int]) -> Bool:

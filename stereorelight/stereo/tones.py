@@ -14,11 +14,11 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from stereorelight.arrays import Bool, Float32, Float64, UInt16
+from stereorelight.arrays import Bool, Float32, UInt16
+from stereorelight.engine.shares import counts_of, counts_of_pairs, equal_shares
 from stereorelight.engine.tone import LEVELS
 
 Number = TypeVar("Number", np.float32, np.uint16)
-QUANTILES = 256
 SAMPLES = 20_000  # pixels looked at for statistics: enough for a quantile to a fifth of a grey level
 PAIRS = 240_000  # of points that both eyes see, at most
 FEWEST_PAIRS = 4_000
@@ -37,32 +37,21 @@ class Tones:
         return Tones(levels=(right, left), tables=self.tables[::-1])
 
 
+def _step(picture: npt.NDArray[Number]) -> int:
+    """Every how many rows and columns leave about `SAMPLES` of the pixels."""
+    return max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / SAMPLES)))
+
+
 def sample(picture: npt.NDArray[Number]) -> npt.NDArray[Number]:
     """About `SAMPLES` of the pixels, evenly spread, as (n, 3)."""
-    step = max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / SAMPLES)))
+    step = _step(picture)
     return picture[::step, ::step].reshape(-1, 3)
-
-
-def _level_at(values: UInt16, share: Float64) -> Float64:
-    """Levels below which these shares of `values` lie, by counting."""
-    count = np.cumsum(np.bincount(values, minlength=LEVELS)) / values.size
-    return np.interp(share, count + np.arange(LEVELS) * 1e-12, np.arange(LEVELS))
-
-
-def equal_shares(mine: UInt16, theirs: UInt16) -> Float64:
-    """(3, LEVELS) levels of theirs, by level of mine: curves that give one set of pixels (n, 3) the distribution of the other, channel by channel."""
-    at = np.linspace(0, 1, QUANTILES)
-    curves = []
-    for c in range(3):
-        # Rising positions for np.interp: equal quantiles (clipped areas) are set apart by far less than a level.
-        positions = _level_at(mine[:, c], at) + np.arange(QUANTILES) * 1e-6
-        curves.append(np.interp(np.arange(LEVELS), positions, _level_at(theirs[:, c], at)))
-    return np.stack(curves)
 
 
 def tone_tables(picture: UInt16, target: UInt16) -> Float32:
     """(3, LEVELS) tables that give `picture` the distribution of tones of `target`, both (H, W, 3): grey levels 0..255."""
-    return (equal_shares(sample(picture), sample(target)) * (255 / (LEVELS - 1))).astype(np.float32)
+    mine, theirs = (counts_of(one, step=_step(one)) for one in (picture, target))
+    return (equal_shares(mine, theirs) * (255 / (LEVELS - 1))).astype(np.float32)
 
 
 def tables_of_pairs(tones: Tones, disparity: Float32, seen: Bool) -> Float32 | None:
@@ -70,22 +59,15 @@ def tables_of_pairs(tones: Tones, disparity: Float32, seen: Bool) -> Float32 | N
 
     disparity : (H, W) px, of the left eye.   seen : (H, W), where it may be believed.
     """
-    width = disparity.shape[1]
     step = max(1, int(np.ceil(np.sqrt(np.count_nonzero(seen) / PAIRS))))
-    y, x = np.nonzero(seen[::step, ::step])
-    y, x = y * step, x * step
-    # The nearest pixel and no value between two: what is interpolated is calmer, and its distribution narrower.
-    lands = np.rint(x - disparity[y, x])
-    within = (lands >= 0) & (lands < width)
-    y, x, lands = y[within], x[within], lands[within].astype(np.intp)
-    if y.size < FEWEST_PAIRS:
+    left, right = counts_of_pairs(*tones.levels, disparity, seen, step=step)
+    if left[0].sum() < FEWEST_PAIRS:
         return None
-    left, right = tones.levels[0][y, x], tones.levels[1][y, lands]
     curves = equal_shares(right, left)
     levels = np.arange(LEVELS)
     for c in range(3):
         # Tones that no pair has go on as the last ones do: brighter or darker by the same share.
-        low, high = int(right[:, c].min()), int(right[:, c].max())
+        low, high = np.flatnonzero(right[c])[[0, -1]].tolist()
         curves[c, :low] = levels[:low] * (curves[c, low] / max(low, 1))
         curves[c, high:] = levels[high:] * (curves[c, high] / max(high, 1))
     return np.stack([np.interp(curve, levels, table) for curve, table in zip(curves, tones.tables[0], strict=True)]).astype(np.float32)

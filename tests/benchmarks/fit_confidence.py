@@ -34,7 +34,7 @@ from stereorelight.compare.motorcycle import motorcycle
 from stereorelight.compare.normals import angle_deg
 from stereorelight.shot.pairs import MATCH_NOISE_PX
 from stereorelight.stereo import confidence as belief
-from stereorelight.stereo.depth import refined_with_evidence
+from stereorelight.stereo.depth import matched, refined_with_evidence
 from stereorelight.stereo.flow import flow_disparity
 from stereorelight.stereo.match import search_range
 from stereorelight.stereo.proxy import matching_proxy
@@ -94,7 +94,7 @@ def looked_at(
     views = [rectified.rectify(plate, eye, to_match=True) for plate, eye in zip(plates, ("left", "right"), strict=True)]
     proxy = matching_proxy(*views, steps=(rectified.step("left"), rectified.step("right")))
     search = search_range(proxy, rectified.rig, near_m=near_m, far_m=far_m)
-    refined, _, evidence = refined_with_evidence(proxy, search, DepthSettings(), flow_disparity(proxy))
+    refined, _, evidence = refined_with_evidence(proxy, matched(proxy, search, DepthSettings()), DepthSettings(), flow_disparity(proxy))
     known = np.flatnonzero(np.isfinite(truth))
     drawn = np.random.default_rng(0).choice(known, min(pixels, known.size), replace=False)
     error = np.abs(refined.disparity - truth)
