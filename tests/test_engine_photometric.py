@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stereorelight.engine.photometric import believed, brightness_residual, photometric_evidence, row_splines, spline_residual
+from stereorelight.engine.belief import believed, deviation
+from stereorelight.engine.photometric import brightness_residual, photometric_evidence, row_splines, spline_residual
 
 f4 = np.float32
 HW = (12, 96)
@@ -180,3 +181,15 @@ def test_believed_is_the_logistic_weighing(seed: int) -> None:
     assert out == pytest.approx(np.sqrt((p**2 + floor2) / (1 + floor2)), abs=1e-5)
     assert out.min() >= 0.28
     assert out.max() <= 1
+
+
+@given(seed=st.integers(0, 99))
+def test_deviation_is_the_product_of_powers(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sigma, clumped = (rng.gamma(2, s, (4, 5)).astype(f4) for s in (0.05, 0.5))
+    confidence, alone = (rng.random((4, 5)).astype(f4) for _ in range(2))
+    c = (0.8, 0.84, 0.67, 0.18, 2.9, 0.8)
+    log = c[0] + c[1] * np.log(np.maximum(sigma, 1e-3) / 0.03) + c[2] * np.log((1.005 - confidence) / 0.02)
+    log += c[3] * np.log(np.maximum(clumped, 0.05) / 0.5) + c[4] * alone * np.maximum(c[5] - confidence, 0)
+    told = deviation(c, sigma, confidence, clumped, alone, sigma_px=0.03, doubt=0.02, clumps=0.5, least_clumped=0.05, most_px=16)
+    np.testing.assert_allclose(told, np.minimum(0.03 * np.exp(log), 16), rtol=1e-5)

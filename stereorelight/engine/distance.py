@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Float32, Float64, UInt16
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.rows import in_pieces
 
 f4 = np.float32
 
@@ -53,5 +53,5 @@ def distances(
     """
     Z, Z_sigma = np.empty(disparity.shape, np.float32), np.empty(disparity.shape, np.float32)
     given = (disparity, np.atleast_2d(stretch), per, doffs, f4(smallest), np.uint16(far_flag), np.uint16(dropped), flags, sure, sigma, Z, Z_sigma)
-    in_row_blocks(lambda first, end: _distances(first, end, *given), disparity.shape[0])
+    in_pieces(lambda first, end: _distances(first, end, *given), disparity.shape[0])
     return Z, Z_sigma

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Bool, Float32
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.rows import in_pieces
 
 f4 = np.float32
 
@@ -33,7 +33,7 @@ def _unseen(first, end, disparity, by, out):
 def unseen(disparity: Float32, *, by_px: float = 1.0) -> Bool:
     """(H, W) bool: pixels that land outside the right eye's frame, or where a surface nearer by more than `by_px` lands too."""
     out = np.empty(disparity.shape, np.bool_)
-    in_row_blocks(lambda first, end: _unseen(first, end, disparity, f4(by_px), out), disparity.shape[0])
+    in_pieces(lambda first, end: _unseen(first, end, disparity, f4(by_px), out), disparity.shape[0])
     return out
 
 
@@ -62,7 +62,7 @@ def background(disparity: Float32, source: Bool) -> Float32:
     any source keeps its own values.
     """
     out = np.empty(disparity.shape, np.float32)
-    in_row_blocks(lambda first, end: _behind(first, end, disparity, source, out), disparity.shape[0])
+    in_pieces(lambda first, end: _behind(first, end, disparity, source, out), disparity.shape[0])
     return out
 
 
@@ -82,5 +82,5 @@ def _consistent(first, end, left, right, within, out):
 def consistent(left_px: Float32, right_px: Float32, *, within_px: float = 1.0) -> Bool:
     """(H, W) bool: the right eye's disparity, looked up where the left pixel lands, says the same to `within_px`."""
     out = np.empty(left_px.shape, np.bool_)
-    in_row_blocks(lambda first, end: _consistent(first, end, left_px, right_px, f4(within_px), out), left_px.shape[0])
+    in_pieces(lambda first, end: _consistent(first, end, left_px, right_px, f4(within_px), out), left_px.shape[0])
     return out

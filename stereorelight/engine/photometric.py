@@ -10,7 +10,7 @@ from numba import njit
 from stereorelight.arrays import Float32
 from stereorelight.engine.fastmath import kernel
 from stereorelight.engine.locking import FRACTIONS, POLE, Tables, locking_tables
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.rows import in_pieces
 
 f4 = np.float32
 i4 = np.int32
@@ -45,7 +45,7 @@ def _residual(first, end, left, right, disparity, residual, rate):
 def brightness_residual(left: Float32, right: Float32, disparity: Float32) -> tuple[Float32, Float32]:
     """left - right(x - d), grey levels, and the change of right(x - d) per pixel of disparity."""
     residual, rate = np.empty_like(left), np.empty_like(left)
-    in_row_blocks(lambda first, end: _residual(first, end, left, right, disparity, residual, rate), left.shape[0])
+    in_pieces(lambda first, end: _residual(first, end, left, right, disparity, residual, rate), left.shape[0])
     return residual, rate
 
 
@@ -76,7 +76,7 @@ def _splines(first, end, picture, pole, out):
 def row_splines(picture: Float32) -> Float32:
     """(H, W) coefficients of the cubic spline through each row: between pixels it keeps detail that shorter cubics lose."""
     out = np.empty_like(picture)
-    in_row_blocks(lambda first, end: _splines(first, end, picture, POLE, out), picture.shape[0])
+    in_pieces(lambda first, end: _splines(first, end, picture, POLE, out), picture.shape[0])
     return out
 
 
@@ -124,7 +124,7 @@ def spline_residual(
     seen : (H, W), 1 or 0: both are 0 where it is."""
     residual, rate = np.empty_like(left), np.empty_like(left)
     given = (left, left_spline, right_spline, disparity, np.ones_like(left) if seen is None else seen, residual, rate)
-    in_row_blocks(lambda first, end: differences(first, end, *given), left.shape[0])
+    in_pieces(lambda first, end: differences(first, end, *given), left.shape[0])
     return residual, rate
 
 
@@ -178,54 +178,5 @@ def photometric_evidence(
     """
     weight, pull = np.empty_like(disparity), np.empty_like(disparity)
     given = (disparity, residual, rate, noise2, rate2, trust, f4(grain2), *(tables or locking_tables(1.0)), weight, pull)
-    in_row_blocks(lambda first, end: _evidence(first, end, *given), disparity.shape[0])
+    in_pieces(lambda first, end: _evidence(first, end, *given), disparity.shape[0])
     return weight, pull
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _believed(first, end, c, floors, flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, texture, uneven, out):
-    W = spread.shape[1]
-    floor, lower = floors
-    for y in range(first, end):
-        for x in range(W):
-            t = c[0]
-            t += c[1] * confirmed[y, x]
-            t += c[2] * flow_agrees[y, x]
-            edge = min(spread[y, x], f4(6)) / f4(6)
-            t += edge * (c[3] + c[7] * confirmed_nearby[y, x] + c[8] * flow_nearby[y, x])
-            t += c[4] * np.log(max(sigma[y, x], f4(1e-3)) / f4(0.03))
-            t += c[5] * confirmed_nearby[y, x]
-            t += c[6] * flow_nearby[y, x]
-            t += c[9] * np.log(f4(1) + misfit[y, x])
-            t += c[10] * alone[y, x]
-            t += c[11] * np.log(f4(0.1) + texture[y, x])
-            t += c[12] * np.log(f4(0.02) + uneven[y, x])
-            p = f4(1) / (f4(1) + np.exp(-t))
-            least = floor + alone[y, x] * (lower - floor)
-            out[y, x] = np.sqrt((p * p + least * least) / (f4(1) + least * least))
-
-
-def believed(
-    coefficients: Float32,
-    confirmed: Float32,
-    flow_agrees: Float32,
-    confirmed_nearby: Float32,
-    flow_nearby: Float32,
-    spread: Float32,
-    sigma: Float32,
-    misfit: Float32,
-    alone: Float32,
-    texture: Float32,
-    uneven: Float32,
-    *,
-    floors: tuple[float, float],
-) -> Float32:
-    """The logistic weighing p of the evidence that stereo/confidence.py names, told as sqrt((p^2 + floor^2) / (1 + floor^2)); every array (H, W).
-
-    floors : where `alone` is 0 and where it is 1.
-    """
-    out = np.empty_like(spread)
-    of_pixels = (flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, texture, uneven)
-    given = (coefficients, (f4(floors[0]), f4(floors[1])), *of_pixels, out)
-    in_row_blocks(lambda first, end: _believed(first, end, *given), spread.shape[0])
-    return out

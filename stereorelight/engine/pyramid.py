@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Float32
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.rows import in_pieces
 
 f4 = np.float32
 SMALL = 60_000  # pixels of a picture that is not worth sharing out to threads: a pass over it takes a tenth of a millisecond
@@ -28,7 +28,7 @@ def in_blocks(run: Callable[[int, int], None], like: Float32) -> None:
     if like.size <= SMALL:
         run(0, like.shape[0])
     else:
-        in_row_blocks(run, like.shape[0], block_rows=ROWS)
+        in_pieces(run, like.shape[0], block_rows=ROWS)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

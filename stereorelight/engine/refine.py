@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Float32
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.rows import in_pieces
 
 Planes = tuple[Float32, Float32, Float32]  # value, slope along x, slope along y
 f4 = np.float32
@@ -174,7 +174,7 @@ def robust_planes(
             f4(0.05),
             *result,
         )
-        in_row_blocks(partial(_rows, given), disparity.shape[0])
+        in_pieces(partial(_rows, given), disparity.shape[0])
         value, slope_x, slope_y = result
     return value, slope_x, slope_y
 
@@ -232,5 +232,5 @@ def blended(planes: Planes, *, tau_px: float) -> Planes:
     """
     result = (np.empty_like(planes[0]), np.empty_like(planes[0]), np.empty_like(planes[0]))
     given = (*planes, f4(1 / tau_px**2), *result)
-    in_row_blocks(lambda first, end: _blend(first, end, *given), planes[0].shape[0])
+    in_pieces(lambda first, end: _blend(first, end, *given), planes[0].shape[0])
     return result

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from stereorelight.arrays import Float32, Int32
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.rows import in_pieces
 
 f4 = np.float32
 
@@ -63,7 +63,7 @@ def resample(picture: Float32, pixels: Float32, kernel: Float32 = LANCZOS) -> Fl
              for what is to be compared with another picture.
     """
     out = np.empty((*pixels.shape[:2], picture.shape[2]), np.float32)
-    in_row_blocks(lambda first, end: _windowed_sinc(first, end, picture, pixels, kernel, out), pixels.shape[0])
+    in_pieces(lambda first, end: _windowed_sinc(first, end, picture, pixels, kernel, out), pixels.shape[0])
     return out
 
 
@@ -103,7 +103,7 @@ def on_planes(value: Float32, slopes: tuple[Float32, Float32], pixels: Float32, 
     to within `apart`.  Returns (h, w) values and (h, w) flat index of the nearest pixel, -1 outside the map.
     """
     out, nearest = np.empty(pixels.shape[:2], np.float32), np.empty(pixels.shape[:2], np.int32)
-    in_row_blocks(lambda first, end: _on_planes(first, end, value, *slopes, pixels, f4(apart), out, nearest), pixels.shape[0])
+    in_pieces(lambda first, end: _on_planes(first, end, value, *slopes, pixels, f4(apart), out, nearest), pixels.shape[0])
     return out, nearest
 
 
@@ -122,5 +122,5 @@ def _doubled_planes(first, end, value, slope_x, slope_y, out):
 def doubled_planes(disparity: Float32, slopes: tuple[Float32, Float32], size_hw: tuple[int, int]) -> Float32:
     """A half-size disparity in full-size pixels: each pixel's plane at the four that it was; slopes are px per px at either size."""
     out = np.empty(size_hw, np.float32)
-    in_row_blocks(lambda first, end: _doubled_planes(first, end, disparity, *slopes, out), size_hw[0])
+    in_pieces(lambda first, end: _doubled_planes(first, end, disparity, *slopes, out), size_hw[0])
     return out

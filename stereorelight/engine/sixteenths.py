@@ -9,13 +9,12 @@ import numpy.typing as npt
 from numba import njit
 
 from stereorelight.arrays import Float32
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.rows import in_pieces
 
 f4 = np.float32
 Int16 = npt.NDArray[np.int16]
 NOWHERE = -32768
 MOST = 32_000
-BLOCK_ROWS = 128  # a row takes a microsecond
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -29,7 +28,7 @@ def _coded(first, end, disparity, out):
 def coded(disparity: Float32) -> Int16:
     """The nearest sixteenths; `MOST` at most, either way."""
     out = np.empty(disparity.shape, np.int16)
-    in_row_blocks(lambda first, end: _coded(first, end, disparity, out), disparity.shape[0], block_rows=BLOCK_ROWS)
+    in_pieces(lambda first, end: _coded(first, end, disparity, out), disparity.shape[0])
     return out
 
 
@@ -44,7 +43,7 @@ def _pixels(first, end, sixteenths, lowest, sign, out):
 def as_pixels(sixteenths: Int16, lowest_px: int, *, sign: int = 1) -> Float32:
     """In pixels, NaN below `lowest_px`; times `sign`."""
     out = np.empty(sixteenths.shape, np.float32)
-    in_row_blocks(lambda first, end: _pixels(first, end, sixteenths, 16 * lowest_px, f4(sign), out), out.shape[0], block_rows=BLOCK_ROWS)
+    in_pieces(lambda first, end: _pixels(first, end, sixteenths, 16 * lowest_px, f4(sign), out), sixteenths.shape[0])
     return out
 
 
@@ -58,5 +57,5 @@ def _kept(first, end, disparity, sixteenths, out):
 def kept(disparity: Float32, sixteenths: Int16) -> Float32:
     """The disparity as it was, NaN where the sixteenths are `NOWHERE`."""
     out = np.empty_like(disparity)
-    in_row_blocks(lambda first, end: _kept(first, end, disparity, sixteenths, out), out.shape[0], block_rows=BLOCK_ROWS)
+    in_pieces(lambda first, end: _kept(first, end, disparity, sixteenths, out), disparity.shape[0])
     return out

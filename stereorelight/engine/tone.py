@@ -9,7 +9,7 @@ from numba import njit
 
 from stereorelight.arrays import Bool, Float32, UInt8, UInt16
 from stereorelight.engine.fastmath import kernel
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.rows import in_pieces
 
 f4 = np.float32
 LEVELS = 4096  # sixteen to an 8-bit grey level
@@ -94,7 +94,7 @@ def _codes(first, end, linear, scale, table, out):
 def levels(linear: Float32, *, white: float) -> tuple[UInt16, Bool]:
     """Tone levels (H, W, 3) BGR of scene-linear RGB, clipped at `white`, and (H, W) where the picture is known."""
     out, known = np.empty(linear.shape, np.uint16), np.empty(linear.shape[:2], np.bool_)
-    in_row_blocks(lambda first, end: _levels(first, end, linear, f4(1 / white), out, known), linear.shape[0])
+    in_pieces(lambda first, end: _levels(first, end, linear, f4(1 / white), out, known), linear.shape[0])
     return out, known
 
 
@@ -102,7 +102,7 @@ def codes(linear: Float32, *, white: float) -> UInt8:
     """8-bit BGR (H, W, 3) of scene-linear RGB in its own tones: `levels` and a straight table in one pass."""
     out = np.empty(linear.shape, np.uint8)
     table = (np.linspace(0, 255, LEVELS, dtype=np.float32) + f4(0.5)).astype(np.uint8)
-    in_row_blocks(lambda first, end: _codes(first, end, linear, f4(1 / white), table, out), linear.shape[0])
+    in_pieces(lambda first, end: _codes(first, end, linear, f4(1 / white), table, out), linear.shape[0])
     return out
 
 
@@ -119,7 +119,7 @@ def _through(first, end, level, tables, bgr, grey):
 def through_tables(level: UInt16, tables: Float32) -> tuple[UInt8, Float32]:
     """8-bit BGR and float grey (0..255) of tone levels; `tables` (3, LEVELS) float32 holds 0..255 for each channel."""
     bgr, grey = np.empty(level.shape, np.uint8), np.empty(level.shape[:2], np.float32)
-    in_row_blocks(lambda first, end: _through(first, end, level, tables, bgr, grey), level.shape[0])
+    in_pieces(lambda first, end: _through(first, end, level, tables, bgr, grey), level.shape[0])
     return bgr, grey
 
 

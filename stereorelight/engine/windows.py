@@ -11,7 +11,7 @@ from numba import njit
 
 from stereorelight.arrays import Bool, Float32
 from stereorelight.engine.fastmath import kernel
-from stereorelight.engine.rows import in_row_blocks
+from stereorelight.engine.rows import in_pieces
 
 f4 = np.float32
 _leaf = kernel(fastmath=False, noalias=True)
@@ -112,7 +112,7 @@ class Seen:
     def where(cls, seen: Bool) -> Seen:
         here = seen.astype(np.float32)
         per_7, per_9 = np.empty_like(here), np.empty_like(here)
-        in_row_blocks(lambda first, end: _counted(first, end, here, per_7, per_9), here.shape[0])
+        in_pieces(lambda first, end: _counted(first, end, here, per_7, per_9), here.shape[0])
         return cls(here=here, per_7=per_7, per_9=per_9)
 
 
@@ -137,5 +137,5 @@ def less_means(first, end, a, b, seen, per, out_a, out_b):
 def less_local_means(a: Float32, b: Float32, seen: Seen) -> tuple[Float32, Float32]:
     """Two maps, 0 where nothing is `seen`, less their means over what is seen of the 7 x 7 about each pixel; 0 where nothing is."""
     out_a, out_b = np.empty_like(a), np.empty_like(b)
-    in_row_blocks(lambda first, end: less_means(first, end, a, b, seen.here, seen.per_7, out_a, out_b), a.shape[0])
+    in_pieces(lambda first, end: less_means(first, end, a, b, seen.here, seen.per_7, out_a, out_b), a.shape[0])
     return out_a, out_b

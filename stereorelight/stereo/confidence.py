@@ -16,8 +16,9 @@ import cv2
 import numpy as np
 
 from stereorelight.arrays import Bool, Float32, UInt16
-from stereorelight.engine.photometric import believed, brightness_residual
-from stereorelight.engine.rows import at_once, in_row_blocks
+from stereorelight.engine.belief import believed, deviation
+from stereorelight.engine.photometric import brightness_residual
+from stereorelight.engine.rows import at_once
 from stereorelight.passes import Flag
 from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import Refined
@@ -52,6 +53,7 @@ LEAST_GRAIN = 0.5  # grey levels
 SHARED = (5, 5)  # half-size px
 LEAST_SHOWN = 0.2  # of the grain's variance: less is as good as nothing to share
 ENOUGH_SHARED = 0.5  # correlation from which eyes count as showing the same
+USUAL_SIGMA_PX, USUAL_DOUBT = 0.03, 0.02
 USUALLY_CLUMPED, LEAST_CLUMPED = 0.5, 0.05
 TEXTURE = (5, 5)
 UNEVEN = 5  # quarter-size px, odd
@@ -207,19 +209,10 @@ def sigma_from_evidence(e: Evidence, confidence: Float32, coefficients: tuple[fl
     The refinement's own sigma knows noise and bend, and takes pixels for independent; this adds what it cannot know: a wrong surface, and
     errors that hang together.
     """
-    always, own, doubt, together, nothing = (np.float32(c) for c in coefficients)
-    out = np.empty_like(confidence)
-
-    def run(first: int, end: int) -> None:
-        rows = slice(first, end)
-        log = always + own * np.log(np.maximum(e.sigma[rows], np.float32(1e-3)) / np.float32(0.03))
-        log += doubt * np.log((np.float32(1.005) - confidence[rows]) / np.float32(0.02))
-        log += together * np.log(np.maximum(e.clumped[rows], np.float32(LEAST_CLUMPED)) / np.float32(USUALLY_CLUMPED))
-        log += nothing * e.alone[rows] * np.maximum(np.float32(SURE) - confidence[rows], np.float32(0))
-        out[rows] = np.minimum(np.float32(0.03) * np.exp(log), np.float32(MOST_SIGMA_PX))
-
-    in_row_blocks(run, out.shape[0], block_rows=64)
-    return out
+    return deviation(
+        (*coefficients, SURE), e.sigma, confidence, e.clumped, e.alone,
+        sigma_px=USUAL_SIGMA_PX, doubt=USUAL_DOUBT, clumps=USUALLY_CLUMPED, least_clumped=LEAST_CLUMPED, most_px=MOST_SIGMA_PX,
+    )  # fmt: skip
 
 
 def reasons(refined: Refined, confirmed: Bool, left_known: Bool, right_known: Bool) -> UInt16:
