@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stereorelight.engine.bending import plate_correction
-from stereorelight.engine.bends import bend_energy, slopes
+from stereorelight.engine.bends import bend_energies, bend_energy, slopes
 from stereorelight.engine.pyramid import SMALL, doubled, halved
 from stereorelight.threads import set_threads, usable_cores
 
@@ -134,3 +134,26 @@ def test_same_bits_whatever_the_threads() -> None:
     finally:
         set_threads(usable_cores())
     assert np.array_equal(*both)
+
+
+def test_a_bend_at_a_quarter_of_the_size_is_that_bend_grown() -> None:
+    rng = np.random.default_rng(3)
+    size = (131, 90)
+    d, pull = (rng.normal(0, 0.1, size).astype(f4) for _ in range(2))
+    bend = rng.uniform(0.005, 0.02, (33, 23)).astype(f4)
+    grown = doubled(doubled(bend, (66, 45)), size)
+    few, all_ = (plate_correction(d, np.ones(size, f4), pull, b, cut=0.5) for b in (bend, grown))
+    assert np.array_equal(few, all_)
+
+
+def test_energies_of_all_sizes_are_those_of_each() -> None:
+    d = np.random.default_rng(4).normal(0, 0.05, (131, 90)).astype(f4)
+    logs, counts = bend_energies(d, cut=0.1, looser=4)
+    small = d
+    for k in range(4):
+        energy = bend_energy(small, cut=0.1 * min(2**k, 4))
+        for mine, theirs in zip((logs[k], counts[k]), energy, strict=True):
+            for _ in range(2 - k):
+                theirs = halved(theirs)
+            assert np.array_equal(mine, theirs if k < 3 else doubled(theirs, mine.shape))
+        small = halved(small, surface=True)

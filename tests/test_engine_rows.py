@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stereorelight.engine.rows import at_once, in_row_blocks
+from stereorelight.engine.rows import at_once, in_pieces, in_row_blocks
 from stereorelight.errors import ShotError
 from stereorelight.threads import set_threads, usable_cores
 
@@ -31,6 +31,16 @@ def test_every_row_once(height: int, block: int) -> None:
     seen: list[tuple[int, int]] = []
     in_row_blocks(lambda first, end: seen.append((first, end)), height, block_rows=block)
     assert sorted(seen) == [(first, min(first + block, height)) for first in range(0, height, block)]
+
+
+@given(height=st.integers(0, 200), block=st.integers(1, 40))
+def test_pieces_are_whole_blocks_and_every_row_is_in_one(height: int, block: int) -> None:
+    seen: list[tuple[int, int]] = []
+    in_pieces(lambda first, end: seen.append((first, end)), height, block_rows=block)
+    seen.sort()
+    assert [first for first, _ in seen] == [0, *(end for _, end in seen[:-1])][: len(seen)]
+    assert all(first % block == 0 and (end % block == 0 or end == height) for first, end in seen)
+    assert (seen[-1][1] if seen else 0) == height
 
 
 @pytest.mark.parametrize("threads", [1, 2])

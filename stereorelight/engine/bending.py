@@ -15,7 +15,7 @@ from numba import njit
 
 from stereorelight.arrays import Float32
 from stereorelight.engine.fastmath import kernel
-from stereorelight.engine.pyramid import block_rows, carry, halve
+from stereorelight.engine.pyramid import block_rows, carry, double, halve
 from stereorelight.engine.turns import shared, together, turns_of
 
 f4 = np.float32
@@ -220,6 +220,14 @@ def _sum_rows(begin, end, a, b, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _stiffen(begin, end, bend, out):
+    """One over the square; `out` may be `bend`."""
+    for y in range(begin, end):
+        for x in range(out.shape[1]):
+            out[y, x] = f4(1) / (bend[y, x] * bend[y, x])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _clear(begin, end, out):
     out[begin:end] = f4(0)
 
@@ -277,13 +285,28 @@ def _solve(turns, step, dots, d, u, pull, weight, stiff, work, cut, rows, steps)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _correct(turns, dots, sizes, d, weight, pull, stiff, out, coarse, work, cut, finest, steps):
+def _correct(turns, dots, sizes, d, weight, pull, bend, stiff, out, coarse, work, cut, finest, steps):
     """`plate_correction`, by all threads together.
 
     sizes : (levels, 5) of each level its number, height, width, place in `coarse`, and rows of a block.
     coarse : (5, pixels of all levels but the first): disparity, weight, pull, stiffness and correction.   work : (9, H W).
     """
     step, levels = np.int64(0), len(sizes)
+    H, W, rows = sizes[0, 1], sizes[0, 2], sizes[0, 4]
+    if bend.shape == d.shape:
+        for begin, end in shared(turns, step, H, rows):
+            _stiffen(begin, end, bend, stiff)
+        step += 1
+    else:
+        h, w = (H + 1) // 2, (W + 1) // 2
+        half = work[0, : h * w].reshape(h, w)
+        for begin, end in shared(turns, step, h, rows):
+            double(begin, end, bend, f4(0), half)
+        step += 1
+        for begin, end in shared(turns, step, H, rows):
+            double(begin, end, half, f4(0), stiff)
+            _stiffen(begin, end, stiff, stiff)
+        step += 1
     for level in range(1, levels):
         fine, half = sizes[level - 1], sizes[level]
         whole = _of_level(d, coarse[0], fine), _of_level(weight, coarse[1], fine), _of_level(pull, coarse[2], fine), _of_level(stiff, coarse[3], fine)
@@ -319,19 +342,18 @@ def plate_correction(
     """What to add to `d` so that it is the smoothest surface that agrees with the evidence; (H, W) float32 px.
 
     d      : (H, W) px, finite.   weight : (H, W) > 0, 1/px^2.   pull : (H, W), weight times (what is known - d).
-    bend   : (H, W) > 0, expected second difference, px.   cut : second difference that is an edge, px.
+    bend   : > 0, expected second difference, px, (H, W) or at a quarter of the size, rounded up.   cut : second difference that is an edge, px.
     levels : of the pyramid.      steps  : of conjugate gradients at each.   finest : the last level that is solved, 0 the full size; what it
              found is carried on to the full size as it is, a third of the time at 1.
     """
-    stiff: Float32 = np.reciprocal(bend * bend)
     sizes = [(0, *d.shape, 0, block_rows(d.shape))]
     while len(sizes) < levels and min(sizes[-1][1:3]) >= 8:
         _, h, w, place, _ = sizes[-1]
         shape = ((h + 1) // 2, (w + 1) // 2)
         sizes.append((len(sizes), *shape, place + h * w if len(sizes) > 1 else 0, block_rows(shape)))
-    most = len(sizes) * (7 + 2 * steps)
+    most = 2 + len(sizes) * (7 + 2 * steps)
     coarse, work = np.empty((5, sum(h * w for _, h, w, _, _ in sizes[1:])), np.float32), np.empty((9, d.size), np.float32)
-    dots, out = np.zeros((most, d.shape[0]), np.float64), np.empty_like(d)
+    dots, out, stiff = np.zeros((most, d.shape[0]), np.float64), np.empty_like(d), np.empty_like(d)
     flat = np.array(sizes, np.int64)
-    together(_correct, turns_of(most), dots, flat, d, weight, pull, stiff, out, coarse, work, f4(cut), min(finest, len(sizes) - 1), steps)
+    together(_correct, turns_of(most), dots, flat, d, weight, pull, bend, stiff, out, coarse, work, f4(cut), min(finest, len(sizes) - 1), steps)
     return out

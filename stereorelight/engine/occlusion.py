@@ -67,6 +67,61 @@ def background(disparity: Float32, source: Bool) -> Float32:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _beside(first, end, disparity, out):
+    W = disparity.shape[1]
+    before = np.empty(W, np.float32)
+    for y in range(first, end):
+        last = f4(np.inf)
+        for x in range(W):
+            d = disparity[y, x]
+            last = d if d == d else last
+            before[x] = last
+        last = f4(np.inf)
+        for x in range(W - 1, -1, -1):
+            d = disparity[y, x]
+            last = d if d == d else last
+            farther = min(before[x], last)
+            out[y, x] = farther if farther < f4(np.inf) else f4(0)
+
+
+def beside(disparity: Float32) -> Float32:
+    """`background` of a disparity that is NaN where it is no source; 0 on a row without any."""
+    out = np.empty(disparity.shape, np.float32)
+    in_pieces(lambda first, end: _beside(first, end, disparity, out), disparity.shape[0])
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _completed(first, end, disparity, other, out):
+    for y in range(first, end):
+        for x in range(out.shape[1]):
+            out[y, x] = disparity[y, x] if disparity[y, x] == disparity[y, x] else other[y, x]
+
+
+def completed(disparity: Float32, other: Float32) -> Float32:
+    """`disparity`, and `other` where it is NaN."""
+    out = np.empty(disparity.shape, np.float32)
+    in_pieces(lambda first, end: _completed(first, end, disparity, other, out), disparity.shape[0])
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _lands(first, end, disparity, known, out):
+    W = disparity.shape[1]
+    for y in range(first, end):
+        for x in range(W):
+            k = int(np.floor(f4(x) - disparity[y, x] + f4(0.5)))
+            out[y, x] = 0 <= k < W and known[y, k]
+
+
+def lands_on_plate(disparity: Float32, right_known: Bool) -> Bool:
+    """(H, W) bool: what is seen there lies within the right eye's plate, where that is known."""
+    out = np.empty(disparity.shape, np.bool_)
+    in_pieces(lambda first, end: _lands(first, end, disparity, right_known, out), disparity.shape[0])
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _consistent(first, end, left, right, within, out):
     W = left.shape[1]
     for y in range(first, end):

@@ -66,6 +66,25 @@ def _mend_row(known, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _brightest(linear, step, out):
+    n = 0
+    for y in range(0, linear.shape[0], step):
+        for x in range(0, linear.shape[1], step):
+            r, g, b = linear[y, x, 0], linear[y, x, 1], linear[y, x, 2]
+            total = r + g + b
+            if total - total == f4(0):  # false for NaN and infinity
+                out[n] = max(max(r, g), b)
+                n += 1
+    return n
+
+
+def brightest(linear: Float32, *, step: int = 1) -> Float32:
+    """The brightest channel of each known pixel, one after another, in every `step`-th row and column."""
+    out = np.empty(-(-linear.shape[0] // step) * -(-linear.shape[1] // step), np.float32)
+    return out[: _brightest(linear, step, out)]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _levels(first, end, linear, scale, out, known):
     W = linear.shape[1]
     row = np.empty(3 * W, np.int32)

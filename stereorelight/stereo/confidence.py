@@ -17,6 +17,7 @@ import numpy as np
 
 from stereorelight.arrays import Bool, Float32, UInt16
 from stereorelight.engine.belief import believed, deviation
+from stereorelight.engine.occlusion import lands_on_plate
 from stereorelight.engine.photometric import brightness_residual
 from stereorelight.engine.rows import at_once
 from stereorelight.passes import Flag
@@ -136,16 +137,6 @@ def alone(left: Float32, right: Float32, grain: float) -> Float32:
     return cv2.resize(less, (left.shape[1], left.shape[0]), interpolation=cv2.INTER_LINEAR)
 
 
-def _lands_on_plate(disparity: Float32, right_known: Bool) -> Bool:
-    """(H, W): what is seen there lies within the right eye's plate, where that is known."""
-    width = disparity.shape[1]
-    lands = np.floor(np.arange(width, dtype=np.float32) - disparity + 0.5)
-    within: Bool = (lands >= 0) & (lands < width)
-    if not right_known.all():
-        within &= np.take_along_axis(right_known, np.where(within, lands, 0).astype(np.intp), axis=1)
-    return within
-
-
 def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | None, ignore: Bool | None = None) -> Evidence:
     """Gather the evidence; `flow` None counts as a second opinion that agrees wherever the right eye does.
 
@@ -165,7 +156,7 @@ def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | No
         mean = cv2.blur(residual, MISFIT)
         left_over = np.maximum(cv2.blur(residual * residual, MISFIT) - mean * mean, np.float32(0))
         grain = max(proxy.grains[0], LEAST_GRAIN)
-        speaks = _lands_on_plate(d, proxy.right_known) & proxy.left_known & ~refined.unseen
+        speaks = lands_on_plate(d, proxy.right_known) & proxy.left_known & ~refined.unseen
         other = np.where(speaks, proxy.left_grey - residual, proxy.left_grey)  # what one eye alone can see speaks neither way
         asked = speaks if ignore is None else speaks & ~ignore
         lost = 1 - float(np.count_nonzero(asked & confirmed)) / max(float(np.count_nonzero(asked)), 1.0)
@@ -217,7 +208,7 @@ def sigma_from_evidence(e: Evidence, confidence: Float32, coefficients: tuple[fl
 
 def reasons(refined: Refined, confirmed: Bool, left_known: Bool, right_known: Bool) -> UInt16:
     """(H, W) uint16 of `Flag` bits: why a value is only a guess."""
-    seen = _lands_on_plate(refined.disparity, right_known)
+    seen = lands_on_plate(refined.disparity, right_known)
     flags = np.zeros(seen.shape, np.uint16)
     for reason, where in (
         (Flag.FILLED, ~confirmed),

@@ -14,12 +14,13 @@ import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.camera import RectifiedRig
-from stereorelight.engine.occlusion import background, consistent
+from stereorelight.engine.occlusion import beside, completed, consistent
 from stereorelight.engine.rows import at_once
 from stereorelight.engine.sixteenths import NOWHERE, as_pixels, coded, kept
 from stereorelight.engine.support import supported
 from stereorelight.errors import PlateError
 from stereorelight.stereo.halves import half_proxy, nearest
+from stereorelight.stereo.median import median_5
 from stereorelight.stereo.proxy import CALM, Proxy, grey_of
 from stereorelight.stereo.rims import on_rims
 
@@ -103,8 +104,7 @@ def everywhere(disparity: Float32) -> Float32:
     known: Bool = np.isfinite(disparity)
     if known.all() or not known.any():
         return disparity
-    filled = np.where(known, disparity, np.float32(0))
-    return np.where(known, disparity, cv2.medianBlur(background(filled, known), 5))
+    return completed(disparity, median_5(beside(disparity)))
 
 
 def _matcher(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, stiffness: float = 1.0, jump: int = P2) -> cv2.StereoSGBM:

@@ -16,10 +16,10 @@ import numpy as np
 from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.locking import roughness
 from stereorelight.engine.rows import at_once
-from stereorelight.engine.tone import LEVELS, codes, levels, median_twist, through_tables
+from stereorelight.engine.tone import LEVELS, brightest, codes, levels, median_twist, through_tables
 from stereorelight.errors import PlateError
 from stereorelight.stereo.grain import even_tones, grain_by_tone
-from stereorelight.stereo.tones import Tones, sample, tables_of_pairs, tone_tables
+from stereorelight.stereo.tones import Tones, sample_step, tables_of_pairs, tone_tables
 
 CALM = 2.0  # grey levels of noise that matching bears without a filter
 CALM_WINDOW, CALM_RADIUS = 7, 2.0  # px
@@ -122,16 +122,10 @@ class Proxy:
         return median_twist(self.left, 1) / (0.6745 * 6 * roughness(self.steps[0]))
 
 
-def _brightest(pixels: Float32) -> Float32:
-    """The brightest channel of each known pixel of (n, 3)."""
-    light: Float32 = np.maximum(np.maximum(pixels[:, 0], pixels[:, 1]), pixels[:, 2])
-    return light[np.isfinite(pixels[:, 0] + pixels[:, 1] + pixels[:, 2])]
-
-
 def _white(picture: Float32, eye: str) -> float:
-    light = _brightest(sample(picture))
+    light = brightest(picture, step=sample_step(picture))
     if light.size == 0:  # hardly anything is known: look at every pixel
-        light = _brightest(picture.reshape(-1, 3))
+        light = brightest(picture)
         if light.size == 0:
             raise PlateError(f"{eye} plate has no known pixel (all NaN or infinite); check the render or the colour space")
     white = float(np.quantile(light, WHITE_QUANTILE))

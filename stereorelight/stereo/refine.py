@@ -30,6 +30,7 @@ from stereorelight.engine.refine import blended, robust_planes
 from stereorelight.engine.rows import at_once
 from stereorelight.engine.windows import Seen
 from stereorelight.stereo.hints import on_matte_edge
+from stereorelight.stereo.median import median_5
 from stereorelight.stereo.proxy import Proxy
 
 
@@ -232,7 +233,7 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
         (weight, pull, mean), energies = at_once(partial(evidence, d), bends)
         bend = np.full_like(mean, BEND) if bend is None else expected_bend(energies, mean, bend)
         finest, steps = (effort.finest, effort.steps) if k < effort.rounds - 1 else (0, effort.last)
-        moved = plate_correction(d, weight, pull, _grown(bend, d.shape), cut=CUT_PX, levels=LEVELS, steps=steps, finest=finest)
+        moved = plate_correction(d, weight, pull, bend, cut=CUT_PX, levels=LEVELS, steps=steps, finest=finest)
         d = np.add(d, np.clip(moved, -1, 1, out=moved), out=moved)
     assert bend is not None
     return Surface(disparity=d, weight=mean, bend=bend, clumped=clumped(weight, pull))
@@ -322,7 +323,7 @@ def refine(
     # The median takes out streaks: a row whose nearest match is wrong.
     hidden, (beyond, calm_behind) = at_once(
         lambda: unseen(np.where(sure, fine, behind)) | unseen(fine),
-        lambda: (_out_of_range(fine, sure), cv2.medianBlur(behind, 5)),
+        lambda: (_out_of_range(fine, sure), median_5(behind)),
     )
     lost = (hidden | beyond) & ~sure
     empty = lost if known is None else lost | ~known
@@ -348,8 +349,7 @@ def refine(
         filled = sided(filled, proxy)
     surface = photometric_surface(proxy, filled, trust, effort=effort)
     disparity = surface.disparity
-    slope_x, slope_y = slopes(disparity, cut=CUT_PX)
-    sigma, slope_sigma = surface.sigma()
+    (slope_x, slope_y), (sigma, slope_sigma) = at_once(lambda: slopes(disparity, cut=CUT_PX), surface.sigma)
     return Refined(
         disparity=disparity,
         slope_x=slope_x,

@@ -9,7 +9,7 @@ gives them none, as it would give a regression."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,6 @@ from stereorelight.arrays import Bool, Float32, UInt16
 from stereorelight.engine.shares import counts_of, counts_of_pairs, equal_shares
 from stereorelight.engine.tone import LEVELS
 
-Number = TypeVar("Number", np.float32, np.uint16)
 SAMPLES = 20_000  # pixels looked at for statistics: enough for a quantile to a fifth of a grey level
 PAIRS = 240_000  # of points that both eyes see, at most
 FEWEST_PAIRS = 4_000
@@ -37,20 +36,14 @@ class Tones:
         return Tones(levels=(right, left), tables=self.tables[::-1])
 
 
-def _step(picture: npt.NDArray[Number]) -> int:
+def sample_step(picture: npt.NDArray[Any]) -> int:
     """Every how many rows and columns leave about `SAMPLES` of the pixels."""
     return max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / SAMPLES)))
 
 
-def sample(picture: npt.NDArray[Number]) -> npt.NDArray[Number]:
-    """About `SAMPLES` of the pixels, evenly spread, as (n, 3)."""
-    step = _step(picture)
-    return picture[::step, ::step].reshape(-1, 3)
-
-
 def tone_tables(picture: UInt16, target: UInt16) -> Float32:
     """(3, LEVELS) tables that give `picture` the distribution of tones of `target`, both (H, W, 3): grey levels 0..255."""
-    mine, theirs = (counts_of(one, step=_step(one)) for one in (picture, target))
+    mine, theirs = (counts_of(one, step=sample_step(one)) for one in (picture, target))
     return (equal_shares(mine, theirs) * (255 / (LEVELS - 1))).astype(np.float32)
 
 
