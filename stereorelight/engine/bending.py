@@ -243,13 +243,13 @@ def _of_level(full, coarse, size):
 def _solve(turns, step, dots, d, u, pull, weight, stiff, work, cut, rows, steps):
     """So many steps of conjugate gradients towards (weight + plate) u = pull - plate d; `u` is where to start, and is overwritten.
 
-    work : (9, H W or more).   dots : (steps, H), at the first row of each block.   Returns the next step of the kernel.
+    work : nine of H W or more.   dots : (steps, H), at the first row of each block.   Returns the next step of the kernel.
     """
     H, W = d.shape
     n = H * W
-    lx, ly, lxy = work[0, :n].reshape(H, W), work[1, :n].reshape(H, W), work[2, :n].reshape(H, W)
-    inverse, r, force = work[3, :n].reshape(H, W), work[4, :n].reshape(H, W), work[5, :n].reshape(H, W)
-    p, before = work[6, :n].reshape(H, W), work[7, :n].reshape(H, W)
+    lx, ly, lxy = work[0][:n].reshape(H, W), work[1][:n].reshape(H, W), work[2][:n].reshape(H, W)
+    inverse, r, force = work[3][:n].reshape(H, W), work[4][:n].reshape(H, W), work[5][:n].reshape(H, W)
+    p, before = work[6][:n].reshape(H, W), work[7][:n].reshape(H, W)
     for begin, end in shared(turns, step, H, rows):
         _links(begin, end, d, stiff, cut, lx, ly, lxy)
     step += 1
@@ -289,7 +289,7 @@ def _correct(turns, dots, sizes, d, weight, pull, bend, stiff, out, coarse, work
     """`plate_correction`, by all threads together.
 
     sizes : (levels, 5) of each level its number, height, width, place in `coarse`, and rows of a block.
-    coarse : (5, pixels of all levels but the first): disparity, weight, pull, stiffness and correction.   work : (9, H W).
+    coarse : five of the pixels of all levels but the first: disparity, weight, pull, stiffness and correction.   work : nine of H W.
     """
     step, levels = np.int64(0), len(sizes)
     H, W, rows = sizes[0, 1], sizes[0, 2], sizes[0, 4]
@@ -299,7 +299,7 @@ def _correct(turns, dots, sizes, d, weight, pull, bend, stiff, out, coarse, work
         step += 1
     else:
         h, w = (H + 1) // 2, (W + 1) // 2
-        half = work[0, : h * w].reshape(h, w)
+        half = work[0][: h * w].reshape(h, w)
         for begin, end in shared(turns, step, h, rows):
             double(begin, end, bend, f4(0), half)
         step += 1
@@ -324,7 +324,7 @@ def _correct(turns, dots, sizes, d, weight, pull, bend, stiff, out, coarse, work
         else:
             below = sizes[level + 1]
             h, w = below[1], below[2]
-            surface, solved, moved = work[8, : h * w].reshape(h, w), _of_level(d, coarse[0], below), _of_level(out, coarse[4], below)
+            surface, solved, moved = work[8][: h * w].reshape(h, w), _of_level(d, coarse[0], below), _of_level(out, coarse[4], below)
             for begin, end in shared(turns, step, h, below[4]):
                 _sum_rows(begin, end, solved, moved, surface)
             step += 1
@@ -334,6 +334,11 @@ def _correct(turns, dots, sizes, d, weight, pull, bend, stiff, out, coarse, work
         if level >= finest:
             of_level = _of_level(pull, coarse[2], size), _of_level(weight, coarse[1], size), _of_level(stiff, coarse[3], size)
             step = _solve(turns, step, dots, here, u, *of_level, work, cut * f4(min(2**level, LOOSER)), rows, steps)
+
+
+def _room(maps: int, pixels: int) -> tuple[Float32, ...]:
+    """Each of its own: one large array would go back to the system after every call (memory.py)."""
+    return tuple(np.empty(pixels, np.float32) for _ in range(maps))
 
 
 def plate_correction(
@@ -352,7 +357,7 @@ def plate_correction(
         shape = ((h + 1) // 2, (w + 1) // 2)
         sizes.append((len(sizes), *shape, place + h * w if len(sizes) > 1 else 0, block_rows(shape)))
     most = 2 + len(sizes) * (7 + 2 * steps)
-    coarse, work = np.empty((5, sum(h * w for _, h, w, _, _ in sizes[1:])), np.float32), np.empty((9, d.size), np.float32)
+    coarse, work = _room(5, sum(h * w for _, h, w, _, _ in sizes[1:])), _room(9, d.size)
     dots, out, stiff = np.zeros((most, d.shape[0]), np.float64), np.empty_like(d), np.empty_like(d)
     flat = np.array(sizes, np.int64)
     together(_correct, turns_of(most), dots, flat, d, weight, pull, bend, stiff, out, coarse, work, f4(cut), min(finest, len(sizes) - 1), steps)

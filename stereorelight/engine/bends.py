@@ -45,56 +45,43 @@ def bend_energy(d: Float32, *, cut: float, floor: float = 1e-10) -> tuple[Float3
     return logs, counts
 
 
-@njit(nogil=True, error_model="numpy")
-def _part(room, place, h, w):
-    """Three maps of a size, one behind another, and where the next ones begin."""
-    n = h * w
-    return room[place : place + 3 * n].reshape(3, h, w), place + 3 * n
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def _energies(turns, d, cut, looser, floor, room, out):
-    """`bend_energies`, by all threads together.   room : for the maps that are made on the way."""
-    (H, W), (h, w) = d.shape, out.shape[2:]
-    half_h, half_w = (H + 1) // 2, (W + 1) // 2
-    eighth_h, eighth_w = (h + 1) // 2, (w + 1) // 2
+    """`bend_energies`, by all threads together.   room : the maps that are made on the way."""
+    H, half_h, h, eighth_h = d.shape[0], room[2].shape[0], out.shape[2], room[8].shape[0]
     quarter = f4(0.25)
-    # Of each size a disparity, logarithms and counts; of the full size the disparity is what came, and its place is of no use.
-    full, place = _part(room, 0, H, W)
-    half, place = _part(room, place, half_h, half_w)
-    shrunk, place = _part(room, place, half_h, half_w)
-    fourth, place = _part(room, place, h, w)
-    eighth, place = _part(room, place, eighth_h, eighth_w)
+    logs, counts, half, half_logs, half_counts, shrunk_logs, shrunk_counts, fourth, eighth, eighth_logs, eighth_counts = room
     step = np.int64(0)
     for begin, end in shared(turns, step, H, ROWS):
-        _energy(begin, end, d, cut, floor, full[1], full[2])
+        _energy(begin, end, d, cut, floor, logs, counts)
     step += 1
     for begin, end in shared(turns, step, half_h, ROWS):
-        halve(begin, end, full[1], quarter, f4(0), shrunk[1])
-        halve(begin, end, full[2], quarter, f4(0), shrunk[2])
-        halve(begin, end, d, quarter, f4(1), half[0])
+        halve(begin, end, logs, quarter, f4(0), shrunk_logs)
+        halve(begin, end, counts, quarter, f4(0), shrunk_counts)
+        halve(begin, end, d, quarter, f4(1), half)
     step += 1
     for begin, end in shared(turns, step, half_h, ROWS):
-        _energy(begin, end, half[0], cut * min(f4(2), looser), floor, half[1], half[2])
+        _energy(begin, end, half, cut * min(f4(2), looser), floor, half_logs, half_counts)
     step += 1
     for begin, end in shared(turns, step, h, ROWS):
-        for k in range(2):
-            halve(begin, end, shrunk[1 + k], quarter, f4(0), out[k, 0])
-            halve(begin, end, half[1 + k], quarter, f4(0), out[k, 1])
-        halve(begin, end, half[0], quarter, f4(1), fourth[0])
+        halve(begin, end, shrunk_logs, quarter, f4(0), out[0, 0])
+        halve(begin, end, shrunk_counts, quarter, f4(0), out[1, 0])
+        halve(begin, end, half_logs, quarter, f4(0), out[0, 1])
+        halve(begin, end, half_counts, quarter, f4(0), out[1, 1])
+        halve(begin, end, half, quarter, f4(1), fourth)
     step += 1
     for begin, end in shared(turns, step, h, ROWS):
-        _energy(begin, end, fourth[0], cut * min(f4(4), looser), floor, out[0, 2], out[1, 2])
+        _energy(begin, end, fourth, cut * min(f4(4), looser), floor, out[0, 2], out[1, 2])
     step += 1
     for begin, end in shared(turns, step, eighth_h, ROWS):
-        halve(begin, end, fourth[0], quarter, f4(1), eighth[0])
+        halve(begin, end, fourth, quarter, f4(1), eighth)
     step += 1
     for begin, end in shared(turns, step, eighth_h, ROWS):
-        _energy(begin, end, eighth[0], cut * min(f4(8), looser), floor, eighth[1], eighth[2])
+        _energy(begin, end, eighth, cut * min(f4(8), looser), floor, eighth_logs, eighth_counts)
     step += 1
     for begin, end in shared(turns, step, h, ROWS):
-        double(begin, end, eighth[1], f4(0), out[0, 3])
-        double(begin, end, eighth[2], f4(0), out[1, 3])
+        double(begin, end, eighth_logs, f4(0), out[0, 3])
+        double(begin, end, eighth_counts, f4(0), out[1, 3])
 
 
 def bend_energies(d: Float32, *, cut: float, looser: float = 4, floor: float = 1e-10) -> Float32:
@@ -105,9 +92,9 @@ def bend_energies(d: Float32, *, cut: float, looser: float = 4, floor: float = 1
     """
     h, w = d.shape
     out = np.empty((2, 4, (h + 3) // 4, (w + 3) // 4), np.float32)
-    half = ((h + 1) // 2) * ((w + 1) // 2)
-    small = out.shape[2] * out.shape[3]
-    room = np.empty(3 * (d.size + 2 * half + 2 * small), np.float32)
+    half, fourth = ((h + 1) // 2, (w + 1) // 2), (out.shape[2], out.shape[3])
+    eighth = ((fourth[0] + 1) // 2, (fourth[1] + 1) // 2)
+    room = tuple(np.empty(size, np.float32) for size in (d.shape, d.shape, half, half, half, half, half, fourth, eighth, eighth, eighth))
     together(_energies, turns_of(8), d, f4(cut), f4(looser), f4(floor), room, out)
     return out
 

@@ -76,7 +76,7 @@ def matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> Ma
 def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings, plate: Float32, eye: Eye, hints: Hinted | None) -> RectifiedDepth:
     """From the half-size `proxy`, the disparity carried up with the edges of the full-size `plate`."""
     half = replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX))
-    depth, picture = at_once(lambda: _of_pair(proxy, search, half, hints, opinion=False, px=2.0), lambda: picture_of(plate, eye))
+    depth, picture = at_once(lambda: _of_pair(proxy, search, half, None, hints, px=2.0), lambda: picture_of(plate, eye))
     size = (picture.shape[0], picture.shape[1])
     refined, (confidence, flags) = at_once(
         lambda: full_size(depth.refined, picture), lambda: tuple(np.ascontiguousarray(nearest(a, size)) for a in (depth.confidence, depth.flags))
@@ -112,15 +112,10 @@ def refined_with_evidence(
 
 
 def _of_pair(
-    proxy: Proxy, search: DisparityRange, settings: DepthSettings, hints: Hinted | None, *, opinion: bool = True, px: float = 1.0
+    proxy: Proxy, search: DisparityRange, settings: DepthSettings, flow: FlowMatch | None, hints: Hinted | None, px: float = 1.0
 ) -> RectifiedDepth:
-    """The left eye of a rectified pair, judged.
-
-    opinion : ask optical flow, too; that fills the time in which matching waits for one core.
-    px      : pixels of the plate in one of the pair's, since confidence is about a pixel of the plate.
-    """
-    found, flow = at_once(lambda: matched(proxy, search, settings), lambda: flow_disparity(proxy) if opinion else None)
-    refined, confirmed, evidence = refined_with_evidence(proxy, found, settings, flow, hints)
+    """The left eye of a rectified pair, judged; `px`: pixels of the plate in one of the pair's, since confidence is about a pixel of the plate."""
+    refined, confirmed, evidence = refined_with_evidence(proxy, matched(proxy, search, settings), settings, flow, hints)
     confidence = belief.confidence_from_evidence(evidence if px == 1 else evidence.in_pixels(px))
     sigma, flags = at_once(
         lambda: belief.sigma_from_evidence(evidence, confidence),
@@ -200,11 +195,19 @@ def recover(
     steps = (1.0, 1.0) if draft else (rectification.step("left"), rectification.step("right"))
     proxy = matching_proxy(*shown, steps=steps, even=not draft)
 
-    search = search_range(proxy, half_rig(rig) if draft else rig, near_m=settings.near_m, far_m=settings.far_m)
+    def opinion() -> FlowMatch | None:
+        return None if settings.quality == "draft" else flow_disparity(proxy if eye == "left" else proxy.flipped())
+
+    # Not beside the matching: OpenCV's threads serve one caller at a time, and SGBM would run on one core whenever flow comes first.
+    search, flow = at_once(
+        lambda: search_range(proxy, half_rig(rig) if draft else rig, near_m=settings.near_m, far_m=settings.far_m),
+        lambda: opinion() if match_colour == "off" else None,
+    )
     colour = None
     if match_colour != "off":
         mended, colour = colour_matched(*shown, mode=match_colour, disparity=coarse_disparity(proxy, search))
         proxy = matching_proxy(shown[0], mended, steps=steps, even=not draft)
+        flow = opinion()
     if search.count > proxy.left.shape[1]:
         wide, reach = views[0].shape[1], search.doubled() if draft else search
         raise PlateError(f"disparities {reach.low} to {reach.high} px do not fit plates {wide} px wide; check near_m and far_m against the rig")
@@ -214,7 +217,7 @@ def recover(
         plate = views[0] if eye == "left" else np.ascontiguousarray(views[1][:, ::-1])
         depth, search = _draft(pair, search, settings, plate, eye, mattes), search.doubled()
     else:
-        depth = _of_pair(pair, search, settings, mattes, opinion=settings.quality != "draft")
+        depth = _of_pair(pair, search, settings, flow, mattes)
     depth = depth if eye == "left" else _flipped(depth)
 
     def on_rectified() -> Frame:
