@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from stereorelight.engine.bending import plate_correction
 from stereorelight.engine.pyramid import doubled
-from stereorelight.stereo.refine import BEND, CUT_PX, bends_seen, expected_bend
+from stereorelight.stereo import refine
+from stereorelight.stereo.proxy import matching_proxy
+from stereorelight.stereo.refine import BEND, CUT_PX, EFFORTS, MIXED_TRUST, bends_seen, expected_bend
 
 SIZE = (400, 480)
 WEIGHT = 10.0  # 1/px^2: a pixel knows its disparity to 0.3 px
@@ -33,3 +36,39 @@ def test_a_wall_is_expected_to_bend_less_than_anything_is() -> None:
     found = bend_of(wall + 3 * np.exp(-((x - 240) ** 2 + (y - 200) ** 2) / np.float32(2 * 20**2)))
     assert found[50, 60] > 0.0075
     assert np.median(found[:15, :15]) < 0.5 * BEND
+
+
+def test_a_pixel_that_shows_both_sides_of_an_outline_moves_neither(monkeypatch) -> None:
+    """A card before a wall, its upright outlines a part of a pixel from where pixels end, another part in either eye."""
+    rng, finer, (h, w) = np.random.default_rng(3), 8, (96, 192)
+    card_px, wall_px, left_edge, right_edge = 20.5, 6.25, 90.4, 150.7
+
+    def painted(tone: float) -> np.ndarray:
+        grain = cv2.GaussianBlur(rng.normal(0, 1, (h, (w + 60) * finer)).astype(np.float32), (0, 0), 1.5 * finer, sigmaY=1.5)
+        return tone + 12 * grain / grain.std()
+
+    card, wall = painted(150), painted(70)
+    at = np.arange(w * finer) / finer
+
+    def eye(shift: float) -> np.ndarray:
+        def seen(paint: np.ndarray, px: float) -> np.ndarray:
+            return paint[:, np.rint((at + px * shift) * finer).astype(int)]
+
+        on_card = (at + card_px * shift >= left_edge) & (at + card_px * shift < right_edge)
+        fine = np.where(on_card, seen(card, card_px), seen(wall, wall_px))
+        grey = fine.reshape(h, w, finer).mean(axis=2) / 255
+        return np.repeat(grey[..., None], 3, axis=2).astype(np.float32)
+
+    proxy = matching_proxy(eye(0), eye(1))
+    x = np.arange(w)
+    inside = (x >= left_edge) & (x < right_edge)
+    true = np.broadcast_to(np.where(inside, card_px, wall_px).astype(np.float32), (h, w)).copy()
+    hidden = (x < left_edge) & (x >= left_edge - (card_px - wall_px))
+    trust = np.where(hidden | (x < card_px), np.float32(0.02), np.float32(1)) * np.ones((h, 1), np.float32)
+    rims = inside & ((x < left_edge + 3) | (x > right_edge - 3))
+    off = {}
+    for share in (MIXED_TRUST, 1.0):
+        monkeypatch.setattr(refine, "MIXED_TRUST", share)
+        found = refine.photometric_surface(proxy, true, trust, effort=EFFORTS["standard"]).disparity
+        off[share] = np.abs(found - true)[8:-8, rims].mean()
+    assert off[MIXED_TRUST] < 0.3 * off[1.0]

@@ -4,7 +4,9 @@ In: a disparity (H, W) px, the weight (inverse variance, 1/px^2) of what is know
 minus the disparity), and the bend (px/px^2) that surfaces are expected to have.  Out: the correction (H, W) px.
 It minimises the sum of weight (d - known)^2 + (d_xx^2 + 2 d_xy^2 + d_yy^2) / bend^2, so the width over which evidence is
 averaged follows from the evidence itself, (bend^2 weight)^(-1/4) px: small where there is much, wide where there is little.
-Second differences larger than `cut` are depth edges and bind nothing.  Solved from coarse to fine (each level half the
+Second differences larger than `cut` are depth edges and bind nothing.  Bends have tails, most of a face being smooth and its lids and lips
+sharp, and a crease bends one way alone: below `cut` each second difference is bound less the more the surface bends there.
+Solved from coarse to fine (each level half the
 size of the one before) by conjugate gradients with the diagonal as preconditioner.  All sums have a fixed order: the same
 bits come whatever the number of threads."""
 
@@ -163,25 +165,28 @@ def _step(begin, end, alpha, p, force, inverse, u, r, dots):
 
 
 @_leaf
-def _link_row(up, me, down, stiff, cut, across, along, lx, ly, lxy):
-    """Where bends bind; `across`, `along` : 0 on rows that have no bend across them (the first and the last), no twist (the last)."""
+def _link_row(up, me, down, stiff, cut, tail, across, along, lx, ly, lxy):
+    """How stiff each bend is; `across`, `along` : 0 on rows that have no bend across them (the first and the last), no twist (the last)."""
     W = me.size
     for x in range(1, W - 1):
-        lx[x] = stiff[x] if abs(me[x - 1] - f4(2) * me[x] + me[x + 1]) < cut else f4(0)
+        b = me[x - 1] - f4(2) * me[x] + me[x + 1]
+        lx[x] = stiff[x] / (f4(1) + tail * stiff[x] * b * b) if abs(b) < cut else f4(0)
     lx[0], lx[W - 1] = f4(0), f4(0)
     for x in range(W):
-        ly[x] = across * stiff[x] if abs(up[x] - f4(2) * me[x] + down[x]) < cut else f4(0)
+        b = up[x] - f4(2) * me[x] + down[x]
+        ly[x] = across * stiff[x] / (f4(1) + tail * stiff[x] * b * b) if abs(b) < cut else f4(0)
     for x in range(W - 1):
-        lxy[x] = along * stiff[x] if abs(me[x] - me[x + 1] - down[x] + down[x + 1]) < cut else f4(0)
+        b = me[x] - me[x + 1] - down[x] + down[x + 1]
+        lxy[x] = along * stiff[x] / (f4(1) + tail * stiff[x] * b * b) if abs(b) < cut else f4(0)
     lxy[W - 1] = f4(0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _links(begin, end, d, stiff, cut, lx, ly, lxy):
+def _links(begin, end, d, stiff, cut, tail, lx, ly, lxy):
     H = d.shape[0]
     for y in range(begin, end):
         across, along = f4(0 < y < H - 1), f4(y < H - 1)
-        _link_row(d[max(y - 1, 0)], d[y], d[min(y + 1, H - 1)], stiff[y], cut, across, along, lx[y], ly[y], lxy[y])
+        _link_row(d[max(y - 1, 0)], d[y], d[min(y + 1, H - 1)], stiff[y], cut, tail, across, along, lx[y], ly[y], lxy[y])
 
 
 @_leaf
@@ -240,7 +245,7 @@ def _of_level(full, coarse, size):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _solve(turns, step, dots, d, u, pull, weight, stiff, work, cut, rows, steps):
+def _solve(turns, step, dots, d, u, pull, weight, stiff, work, cut, tail, rows, steps):
     """So many steps of conjugate gradients towards (weight + plate) u = pull - plate d; `u` is where to start, and is overwritten.
 
     work : nine of H W or more.   dots : (steps, H), at the first row of each block.   Returns the next step of the kernel.
@@ -251,7 +256,7 @@ def _solve(turns, step, dots, d, u, pull, weight, stiff, work, cut, rows, steps)
     inverse, r, force = work[3][:n].reshape(H, W), work[4][:n].reshape(H, W), work[5][:n].reshape(H, W)
     p, before = work[6][:n].reshape(H, W), work[7][:n].reshape(H, W)
     for begin, end in shared(turns, step, H, rows):
-        _links(begin, end, d, stiff, cut, lx, ly, lxy)
+        _links(begin, end, d, stiff, cut, tail, lx, ly, lxy)
     step += 1
     for begin, end in shared(turns, step, H, rows):
         _diagonal(begin, end, weight, lx, ly, lxy, inverse)
@@ -285,7 +290,7 @@ def _solve(turns, step, dots, d, u, pull, weight, stiff, work, cut, rows, steps)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _correct(turns, dots, sizes, d, weight, pull, bend, stiff, out, coarse, work, cut, finest, steps):
+def _correct(turns, dots, sizes, d, weight, pull, bend, stiff, out, coarse, work, cut, tail, finest, steps):
     """`plate_correction`, by all threads together.
 
     sizes : (levels, 5) of each level its number, height, width, place in `coarse`, and rows of a block.
@@ -333,7 +338,9 @@ def _correct(turns, dots, sizes, d, weight, pull, bend, stiff, out, coarse, work
             step += 1
         if level >= finest:
             of_level = _of_level(pull, coarse[2], size), _of_level(weight, coarse[1], size), _of_level(stiff, coarse[3], size)
-            step = _solve(turns, step, dots, here, u, *of_level, work, cut * f4(min(2**level, LOOSER)), rows, steps)
+            # A bend of one surface is four times as large on a grid of half the size, and the stiffness a quarter.
+            loose, less = cut * f4(min(2**level, LOOSER)), tail / f4(4**level)
+            step = _solve(turns, step, dots, here, u, *of_level, work, loose, less, rows, steps)
 
 
 def _room(maps: int, pixels: int) -> tuple[Float32, ...]:
@@ -342,12 +349,13 @@ def _room(maps: int, pixels: int) -> tuple[Float32, ...]:
 
 
 def plate_correction(
-    d: Float32, weight: Float32, pull: Float32, bend: Float32, *, cut: float, levels: int = 5, steps: int = 10, finest: int = 0
+    d: Float32, weight: Float32, pull: Float32, bend: Float32, *, cut: float, tail: float = 0.0, levels: int = 5, steps: int = 10, finest: int = 0
 ) -> Float32:
     """What to add to `d` so that it is the smoothest surface that agrees with the evidence; (H, W) float32 px.
 
     d      : (H, W) px, finite.   weight : (H, W) > 0, 1/px^2.   pull : (H, W), weight times (what is known - d).
     bend   : > 0, expected second difference, px, (H, W) or at a quarter of the size, rounded up.   cut : second difference that is an edge, px.
+    tail   : of bends: one of `d` that is b times as large as expected is bound 1 + tail b^2 times less.  0 for none.
     levels : of the pyramid.      steps  : of conjugate gradients at each.   finest : the last level that is solved, 0 the full size; what it
              found is carried on to the full size as it is, a third of the time at 1.
     """
@@ -360,5 +368,6 @@ def plate_correction(
     coarse, work = _room(5, sum(h * w for _, h, w, _, _ in sizes[1:])), _room(9, d.size)
     dots, out, stiff = np.zeros((most, d.shape[0]), np.float64), np.empty_like(d), np.empty_like(d)
     flat = np.array(sizes, np.int64)
-    together(_correct, turns_of(most), dots, flat, d, weight, pull, bend, stiff, out, coarse, work, f4(cut), min(finest, len(sizes) - 1), steps)
+    tuning = f4(cut), f4(tail), min(finest, len(sizes) - 1), steps
+    together(_correct, turns_of(most), dots, flat, d, weight, pull, bend, stiff, out, coarse, work, *tuning)
     return out

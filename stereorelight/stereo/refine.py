@@ -107,10 +107,14 @@ SIDE_PX = 6  # even; how far to look for the two sides of a step
 FATTENING_PX = 3  # how far matching carries a near surface past its outline
 NOISE_FLOOR = 0.7  # grey levels: quantisation and resampling leave no less
 BESIDE_PX = 3  # of hidden ground: so far an outline reaches in an interpolated row
+MIXED_STEP_PX = 1.0  # over 3 px, that is two surfaces
+MIXED_PX = 2  # beside a step: so far lenses, samples and splines carry the other side of it
 UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.1
+MIXED_TRUST = 0.1  # of pixels that show both sides of a step: what they match is neither
 PRIOR = 0.02  # weight of the matched disparity where the pictures say nothing, 1/px^2: its errors hang together over many pixels
 UNSEEN_PRIOR = 0.0005  # and of background copied along a row: enough to hold the level, too little to print rows
 CUT_PX = 0.065  # a second difference that no surface makes: a depth edge, over which nothing binds
+TAIL = 4.0  # of bends, as of Student's t with a quarter of a degree of freedom; none in the first round, where steps of matching look like bends
 LEVELS = 5
 BEND = 0.006  # px per px^2: what a surface bends by before anything is known of it
 BEND_DOUBT = 4.0  # worth of that guess, in independent measurements
@@ -185,6 +189,13 @@ def expected_bend(energies: list[Float32], weight: Float32, bend: Float32) -> Fl
     return np.clip(np.sqrt(square), *BEND_LIMITS).astype(np.float32)
 
 
+def _mixed(disparity: Float32) -> Bool:
+    """(H, W) bool: so near a step that both sides of it show in a pixel."""
+    near, around = np.ones((3, 3), np.uint8), np.ones((2 * MIXED_PX - 1, 2 * MIXED_PX - 1), np.uint8)
+    steps = cv2.dilate(disparity, near) - cv2.erode(disparity, near) > MIXED_STEP_PX
+    return cv2.dilate(steps.view(np.uint8), around) > 0
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
     """A disparity, the weight and bend that it rests on, both on the quarter-size grid, and how far its evidence is `clumped`, (H, W)."""
@@ -217,6 +228,7 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
     both = (trust > UNSEEN_TRUST).view(np.uint8)
     # What hides ground stands to the right of it in the left eye, and right beside it in the other: there, its outline is what is looked at.
     seen = Seen.where(cv2.erode(both, np.ones((1, 1 + BESIDE_PX), np.uint8), anchor=(0, 0)) > 0)
+    trust = np.where(_mixed(disparity) & (trust > UNSEEN_TRUST), np.float32(MIXED_TRUST) * trust, trust)
 
     def evidence(d: Float32) -> tuple[Float32, Float32, Float32]:
         residual, rate = left_over(proxy.left_grey, left_spline, right_spline, d, seen)
@@ -233,7 +245,8 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
         (weight, pull, mean), energies = at_once(partial(evidence, d), bends)
         bend = np.full_like(mean, BEND) if bend is None else expected_bend(energies, mean, bend)
         finest, steps = (effort.finest, effort.steps) if k < effort.rounds - 1 else (0, effort.last)
-        moved = plate_correction(d, weight, pull, bend, cut=CUT_PX, levels=LEVELS, steps=steps, finest=finest)
+        tail = TAIL if k else 0.0
+        moved = plate_correction(d, weight, pull, bend, cut=CUT_PX, tail=tail, levels=LEVELS, steps=steps, finest=finest)
         d = np.add(d, np.clip(moved, -1, 1, out=moved), out=moved)
     assert bend is not None
     return Surface(disparity=d, weight=mean, bend=bend, clumped=clumped(weight, pull))
