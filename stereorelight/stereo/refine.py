@@ -96,7 +96,7 @@ class Effort:
 
 EFFORTS = {
     "draft": Effort(passes=1, rounds=1, steps=4, last=4, radius=6, stride=4, tau_px=0.5),
-    "standard": Effort(passes=1, rounds=4, steps=12, last=6, finest=1),
+    "standard": Effort(passes=1, rounds=4, steps=12, last=12, finest=1),
     "fine": Effort(passes=2, rounds=4, steps=20, last=20, blends=2),
 }
 GRAINY = 1.5  # grey levels of noise from which matches scatter more about a plane
