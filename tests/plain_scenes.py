@@ -12,7 +12,7 @@ from tests.benchmarks.bench_depth import linear
 from tests.benchmarks.bench_grain import PHOTOGRAPHS, painted
 
 W, H, FINER = 640, 400, 3
-FILLED = 100
+FILLED, LARGE = 100, 200
 KINDS = ("squares", "squares", "stripes", "tiles", "frames", "bare")
 Layer = tuple[tuple[float, ...], tuple[float, ...], tuple]  # disparity at the middle, slopes; where it lies (none: everywhere); what is on it
 
@@ -32,7 +32,8 @@ def pattern(kind: str, u: np.ndarray, v: np.ndarray, side: float, dark: float, l
 
 
 def _layers(number: int, rng: np.random.Generator) -> list[Layer]:
-    """A wall with a photograph on it, and one to three plain things; odd ones have a board of squares; from `FILLED` on it fills the frame."""
+    """A wall with a photograph on it, and one to three plain things; odd ones have a board of squares; from `FILLED` on it fills the frame,
+    from `LARGE` on with large squares."""
     wall = (4 + 12 * rng.random(), rng.uniform(-0.01, 0.01), rng.uniform(-0.01, 0.01))
     photograph = PHOTOGRAPHS[rng.integers(len(PHOTOGRAPHS))]
     layers: list[Layer] = [(wall, (), (photograph, rng.uniform(1.1, 2), rng.uniform(0.3, 1), rng.uniform(0.2, 1)))]
@@ -45,7 +46,8 @@ def _layers(number: int, rng: np.random.Generator) -> list[Layer]:
         paint = (kind, rng.uniform(14, 45), rng.uniform(0.01, 0.12), rng.uniform(0.25, 0.75))
         if number >= FILLED and k == 0:
             size, at, turn = rng.uniform(240, 320), (W / 2 + rng.uniform(-40, 40), H / 2 + rng.uniform(-30, 30)), rng.uniform(-0.3, 0.3)
-            paint = ("squares" if number % 3 else "frames", rng.uniform(26, 46), *paint[2:])
+            large = number >= LARGE
+            paint = ("squares" if number % 3 or large else "frames", rng.uniform(36, 64) if large else rng.uniform(26, 46), *paint[2:])
         layers.append((place, (*at, size, size * rng.uniform(0.5, 0.9), turn, rng.uniform(0, 14)), paint))
     return layers
 

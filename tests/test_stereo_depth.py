@@ -228,6 +228,18 @@ def test_motorcycle_confidence_tells_the_truth(real) -> None:
     assert (rank[right].sum() - n * (n - 1) / 2) / (n * m) > 0.86
 
 
+def test_motorcycle_draft_tells_the_truth_of_itself(real) -> None:
+    """Judged by coefficients of its own, in pixels of the plate: within 0.1 in every bin that holds 1 % of the pixels."""
+    pair, got = motorcycle(), real["draft"].rectified
+    known = np.isfinite(pair.disparity)
+    right, sure = np.abs(got["disparity"] - pair.disparity)[known] <= 1, got["confidence"][known]
+    bins = [(sure >= low) & (sure < low + 0.1) for low in np.arange(0, 1, 0.1)]
+    off = [abs(sure[one].mean() - right[one].mean()) for one in bins if one.mean() > 0.01]
+    assert len(off) >= 4
+    assert max(off) < 0.1
+    assert sure[right].mean() - sure[~right].mean() > 0.1
+
+
 def test_motorcycle_at_another_exposure_and_colour() -> None:
     left, right, rectified = pair_of_plates()
     pair = motorcycle()

@@ -8,8 +8,17 @@ import numpy as np
 import pytest
 
 from stereorelight.stereo.confidence import Evidence, confidence_from_evidence, floors, sigma_from_evidence, texture, uneven
+from stereorelight.stereo.depth import matched, refined_with_evidence
+from stereorelight.stereo.flow import flow_disparity
+from stereorelight.stereo.match import search_range
+from stereorelight.stereo.proxy import matching_proxy
+from stereorelight.stereo.rectify import rectification
+from stereorelight.stereo.settings import DepthSettings
+from stereorelight.synth.rigs import parallel_rig
+from tests import plain_scenes
 
 HW = (60, 84)
+BOARDS = (plain_scenes.LARGE + 35, plain_scenes.LARGE + 39, plain_scenes.LARGE + 41)
 
 
 def full(value: float) -> np.ndarray:
@@ -66,3 +75,31 @@ def test_half_the_size_is_judged_in_pixels_of_the_plate() -> None:
     twice = replace(e, sigma=full(0.6), spread=full(2), uneven=full(0.4))
     np.testing.assert_array_equal(confidence_from_evidence(e.in_pixels(2)), confidence_from_evidence(twice))
     assert confidence_from_evidence(twice)[0, 0] < confidence_from_evidence(e)[0, 0]
+
+
+def test_ground_on_the_plane_of_its_rims_is_surer_than_it_looks() -> None:
+    bare = replace(usual(), texture=full(0.3), sigma=full(0.6), uneven=full(0.3), lost=0.2)
+    told = [float(confidence_from_evidence(replace(bare, on_rims=on))[0, 0]) for on in (None, full(0), full(1))]
+    assert told[0] == told[1]
+    assert told[2] > told[0] + 0.05
+
+
+def test_boards_that_had_no_part_in_the_fit() -> None:
+    """Plain squares that fill the frame: what lies on rims is right, and told so; all of it within 0.1 of what it is told, on average."""
+    rectified = rectification(parallel_rig((plain_scenes.W, plain_scenes.H)))
+    told, right, mended = [], [], []
+    for number in BOARDS:
+        left, right_plate, truth, _ = plain_scenes.plain_pair(number)
+        proxy = matching_proxy(*(rectified.rectify(plate, eye, to_match=True) for plate, eye in ((left, "left"), (right_plate, "right"))))
+        settings = DepthSettings()
+        found = matched(proxy, search_range(proxy, rectified.rig), settings)
+        refined, _, evidence = refined_with_evidence(proxy, found, settings, flow_disparity(proxy))
+        known = np.isfinite(truth)
+        told.append(confidence_from_evidence(evidence)[known])
+        right.append((np.abs(refined.disparity - truth) <= 1)[known])
+        mended.append(np.zeros(known.sum(), np.bool_) if evidence.on_rims is None else evidence.on_rims[known] > 0)
+    sure, good, on = (np.concatenate(parts) for parts in (told, right, mended))
+    assert on.mean() > 0.1
+    assert good[on].mean() > 0.9
+    assert sure[on].mean() == pytest.approx(good[on].mean(), abs=0.1)
+    assert sure.mean() == pytest.approx(good.mean(), abs=0.1)

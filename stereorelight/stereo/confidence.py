@@ -39,12 +39,19 @@ EVIDENCE = (
     "log texture",
     "log uneven",
     "log lost",
+    "on rims",
 )
-COEFFICIENTS = np.array([0.232, 0.809, 0.095, -1.141, -2.145, 0.717, 0.642, -0.187, -0.968, -0.152, -1.129, 0.295, -0.336, -0.616], dtype=np.float32)
+COEFFICIENTS = np.array(
+    [0.22, 0.692, 0.462, -0.946, -1.888, 1.218, 0.616, -0.305, -0.802, -0.086, -1.492, 0.233, -0.324, -0.487, 1.106], dtype=np.float32
+)
+# Of half-size pictures without a second opinion, their lengths in pixels of the plate; none of their ground lies on rims.
+DRAFT_COEFFICIENTS = np.array(
+    [0.062, 0.421, 0.421, -0.928, -1.274, 0.99, 1.388, -0.215, -0.575, -0.257, -0.883, 0.498, -0.379, -0.069, 0.0], dtype=np.float32
+)
 FLOOR, LOWER = 0.7, 0.22  # by which ground of which nothing is known but what lies beside it is told right; and where the eyes share nothing
 # log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log of how far errors hang together, and what is missing
 # of `SURE` where the eyes share nothing: a match that is wrong there is wrong by any amount.
-SIGMA_COEFFICIENTS = (0.813, 0.84, 0.674, 0.183, 2.886)
+SIGMA_COEFFICIENTS = (0.792, 0.933, 0.626, 0.203, 2.886)
 SURE = 0.8
 MOST_SIGMA_PX = 16.0
 WINDOW = (7, 7)
@@ -75,6 +82,7 @@ class Evidence:
     texture : change of grey along the row, root mean square over 5 x 5, over the grain.
     uneven  : standard deviation of the disparity about a plane, over 20 x 20, px.
     lost    : one number, the share of what both eyes see where the right eye does not confirm the match.
+    on_rims : 1 on plain ground that took the plane of the rims about it, else 0; None: there is none.
     """
 
     confirmed: Float32
@@ -89,6 +97,7 @@ class Evidence:
     texture: Float32
     uneven: Float32
     lost: float
+    on_rims: Float32 | None = None
 
     def in_pixels(self, px: float) -> Evidence:
         """The same with lengths in pixels of which `px` make one of these: half the size is judged as what it is on the plate."""
@@ -137,10 +146,12 @@ def alone(left: Float32, right: Float32, grain: float) -> Float32:
     return cv2.resize(less, (left.shape[1], left.shape[0]), interpolation=cv2.INTER_LINEAR)
 
 
-def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | None, ignore: Bool | None = None) -> Evidence:
+def evidence(
+    proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | None, ignore: Bool | None = None, on_rims: Bool | None = None
+) -> Evidence:
     """Gather the evidence; `flow` None counts as a second opinion that agrees wherever the right eye does.
 
-    ignore : (H, W), ground that no match was asked of, and that none is missed on.
+    ignore : (H, W), ground that no match was asked of, and that none is missed on.   on_rims : `Match`'s.
     """
     d = refined.disparity
     residual = brightness_residual(proxy.left_grey, proxy.right_grey, d)[0]
@@ -176,15 +187,17 @@ def evidence(proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | No
         texture=shown,
         uneven=rough,
         lost=lost,
+        on_rims=None if on_rims is None else on_rims.astype(np.float32),
     )
 
 
 def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS) -> Float32:
     """(H, W) float32, 0..1: among pixels of confidence c a share of about c is within 1 px of truth."""
     always = coefficients[0] + coefficients[13] * np.log(np.float32(LEAST_LOST + e.lost))
-    weights = np.concatenate([[always], coefficients[1:13]]).astype(np.float32)
+    weights = np.concatenate([[always], coefficients[1:13], coefficients[14:]]).astype(np.float32)
     nearby = (e.confirmed_nearby, e.flow_agrees_nearby)
-    given = (e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, e.misfit, e.alone, e.texture, e.uneven)
+    on_rims = np.zeros_like(e.sigma) if e.on_rims is None else e.on_rims
+    given = (e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, e.misfit, e.alone, e.texture, e.uneven, on_rims)
     return believed(weights, *given, floors=floors(e.lost))
 
 

@@ -73,9 +73,14 @@ def matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> Ma
     return match_by(matcher_named(settings.matcher), settings.matcher.partition(":")[0], proxy, search)
 
 
+def half_settings(settings: DepthSettings) -> DepthSettings:
+    """Those of a plate, for a draft's half-size pictures."""
+    return replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX))
+
+
 def _draft(proxy: Proxy, search: DisparityRange, settings: DepthSettings, plate: Float32, eye: Eye, hints: Hinted | None) -> RectifiedDepth:
     """From the half-size `proxy`, the disparity carried up with the edges of the full-size `plate`."""
-    half = replace(settings, consistency_px=max(settings.consistency_px / 2, DRAFT_CONSISTENCY_PX))
+    half = half_settings(settings)
     depth, picture = at_once(lambda: _of_pair(proxy, search, half, None, hints, px=2.0), lambda: picture_of(plate, eye))
     size = (picture.shape[0], picture.shape[1])
     refined, (confidence, flags) = at_once(
@@ -108,7 +113,7 @@ def refined_with_evidence(
         proxy, dense, confirmed, known=known, ramps=settings.matcher != OWN, calm=found.calm, effort=EFFORTS[settings.quality],
         subject=subject, ignore=ignore,
     )  # fmt: skip
-    return refined, confirmed, belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity, ignore)
+    return refined, confirmed, belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity, ignore, found.on_rims)
 
 
 def _of_pair(
@@ -116,7 +121,10 @@ def _of_pair(
 ) -> RectifiedDepth:
     """The left eye of a rectified pair, judged; `px`: pixels of the plate in one of the pair's, since confidence is about a pixel of the plate."""
     refined, confirmed, evidence = refined_with_evidence(proxy, matched(proxy, search, settings), settings, flow, hints)
-    confidence = belief.confidence_from_evidence(evidence if px == 1 else evidence.in_pixels(px))
+    if px == 1:
+        confidence = belief.confidence_from_evidence(evidence)
+    else:
+        confidence = belief.confidence_from_evidence(evidence.in_pixels(px), belief.DRAFT_COEFFICIENTS)
     sigma, flags = at_once(
         lambda: belief.sigma_from_evidence(evidence, confidence),
         lambda: belief.reasons(refined, confirmed, proxy.left_known, proxy.right_known),

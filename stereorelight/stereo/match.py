@@ -80,12 +80,14 @@ class Match:
     left, right : each eye's own disparity, NaN where unmatched.
     calm        : the left picture with less grain, where there was too much of it.
     dense       : the left one with a value everywhere.
+    on_rims     : pixels of the left one that took the plane of the rims about them; None where there are none.
     """
 
     left: Float32
     right: Float32
     dense: Float32
     calm: UInt8 | None = None
+    on_rims: Bool | None = None
 
 
 def _raw(matcher: Any, picture: UInt8, other: UInt8, *, before: int, after: int) -> npt.NDArray[np.int16]:
@@ -222,9 +224,12 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
         again, right = supported(*seen, given=held, alike=alike, step=step, pull=AGAIN_PULL, limit=AGAIN_LIMIT)
         left = np.where(np.abs(again - left) <= 0.5, left, again)  # the pull draws parts of a pixel to whole ones
     left = without_speckles(left, round(speckle_px))
+    mended = None
     if plain:
+        as_matched = left
         left, right = _on_rims(left_grey, right_grey, left, right)
-    return Match(left=left, right=right, dense=everywhere(left), calm=calm.left)
+        mended = np.isfinite(left) & (left != as_matched)
+    return Match(left=left, right=right, dense=everywhere(left), calm=calm.left, on_rims=mended)
 
 
 def _coarse(proxy: Proxy) -> tuple[Proxy, float]:

@@ -6,7 +6,7 @@ photographs on planes and balls under grain of linear light (bench_grain.py); an
 (tests/plain_scenes.py).  N pixels of each pair, drawn at random.  Out, printed: the three sets of coefficients, ready to be put into those
 modules; how true they are on the pairs of the fit; how true on each family when it is left out; and on those that have no part in it
 (HELD_OUT, other photographs, Motorcycle and, where STEREORELIGHT_DATA holds them, real boards).  --check fits nothing and judges the
-coefficients that stand.
+coefficients that stand.  --draft does the same for what a draft's half-size pictures say of themselves, confidence alone.
 
 Confidence: the likelihood of being within 1 px of truth, floors and all, with a ridge.  Standard deviations: regression of the 0.683 quantile
 of the logarithm of the error (Koenker and Bassett 1978) where both eyes see, since 68 % of the errors are to be within what is told; few bad
@@ -34,10 +34,12 @@ from stereorelight.compare.motorcycle import motorcycle
 from stereorelight.compare.normals import angle_deg
 from stereorelight.shot.pairs import MATCH_NOISE_PX
 from stereorelight.stereo import confidence as belief
-from stereorelight.stereo.depth import matched, refined_with_evidence
+from stereorelight.stereo.depth import half_settings, matched, refined_with_evidence
+from stereorelight.stereo.draft import full_size
 from stereorelight.stereo.flow import flow_disparity
+from stereorelight.stereo.halves import half_rig, half_view, nearest
 from stereorelight.stereo.match import search_range
-from stereorelight.stereo.proxy import matching_proxy
+from stereorelight.stereo.proxy import matching_proxy, picture_of
 from stereorelight.stereo.rectify import Rectification, rectification
 from stereorelight.stereo.settings import DepthSettings
 from stereorelight.surface import normals as surface
@@ -57,7 +59,7 @@ GRAINS = (0.0, 0.01, 0.02)
 PHOTOGRAPHS, OTHER_PHOTOGRAPHS = range(1, 7), range(10, 14)
 PHOTOGRAPHED = (("clean", 1.0), ("add", 1.0), ("add", 0.25), ("both", 1.0), ("photon", 0.25))  # grain, and exposure
 OTHERWISE_PHOTOGRAPHED = (("clean", 1.0), ("add", 1.0), ("add", 0.25), ("photon", 1.0), ("photon", 0.25), ("both", 1.0), ("both", 0.25))
-PLAIN = (*range(14), *range(plain_scenes.FILLED, plain_scenes.FILLED + 10))
+PLAIN = (*range(14), *range(plain_scenes.FILLED, plain_scenes.FILLED + 10), *range(plain_scenes.LARGE, plain_scenes.LARGE + 30))
 WITHIN = 0.683
 RIDGE = 1e-4  # on coefficients, per pixel: keeps those that say the same from running off against each other
 CLIP = 1e-4  # least error, px and degrees: nothing is told finer
@@ -89,21 +91,40 @@ def looked_at(
     *,
     near_m: float | None = None,
     far_m: float | None = None,
+    draft: bool = False,
 ) -> Pair:
     """N None: normals are not judged.   name: its first word is the pair's family."""
     views = [rectified.rectify(plate, eye, to_match=True) for plate, eye in zip(plates, ("left", "right"), strict=True)]
-    proxy = matching_proxy(*views, steps=(rectified.step("left"), rectified.step("right")))
-    search = search_range(proxy, rectified.rig, near_m=near_m, far_m=far_m)
-    refined, _, evidence = refined_with_evidence(proxy, matched(proxy, search, DepthSettings()), DepthSettings(), flow_disparity(proxy))
+    if draft:
+        disparity, evidence = _drafted(views, rectified, near_m, far_m)
+    else:
+        proxy = matching_proxy(*views, steps=(rectified.step("left"), rectified.step("right")))
+        search = search_range(proxy, rectified.rig, near_m=near_m, far_m=far_m)
+        refined, _, evidence = refined_with_evidence(proxy, matched(proxy, search, DepthSettings()), DepthSettings(), flow_disparity(proxy))
+        disparity = refined.disparity
     known = np.flatnonzero(np.isfinite(truth))
     drawn = np.random.default_rng(0).choice(known, min(pixels, known.size), replace=False)
-    error = np.abs(refined.disparity - truth)
+    error = np.abs(disparity - truth)
     N = np.full((*truth.shape, 3), np.nan, np.float32) if N is None else N
     family = name.split()[0]
-    return Pair(name=name, family=family, rig=rectified.rig, disparity=refined.disparity, evidence=evidence, error=error, N=N, seen=seen, drawn=drawn)
+    return Pair(name=name, family=family, rig=rectified.rig, disparity=disparity, evidence=evidence, error=error, N=N, seen=seen, drawn=drawn)
 
 
-def of_scenes(names: Sequence[str], sizes: Sequence[tuple[int, int]], grains: Sequence[float], pixels: int, cache: Path | None) -> Iterator[Pair]:
+def _drafted(views: Sequence[np.ndarray], rectified: Rectification, near_m: float | None, far_m: float | None) -> tuple[np.ndarray, belief.Evidence]:
+    """The disparity of a draft, and its evidence on the pixels that it comes from, in pixels of the plate."""
+    proxy = matching_proxy(*(half_view(view) for view in views), even=False)
+    search = search_range(proxy, half_rig(rectified.rig), near_m=near_m, far_m=far_m)
+    settings = half_settings(DepthSettings(quality="draft"))
+    refined, _, evidence = refined_with_evidence(proxy, matched(proxy, search, settings), settings, None)
+    full = full_size(refined, picture_of(views[0], "left"))
+    size = (full.disparity.shape[0], full.disparity.shape[1])
+    told = {name: a if not isinstance(a, np.ndarray) else nearest(a, size) for name, a in vars(evidence.in_pixels(2)).items()}
+    return full.disparity, belief.Evidence(**told)
+
+
+def of_scenes(
+    names: Sequence[str], sizes: Sequence[tuple[int, int]], grains: Sequence[float], pixels: int, cache: Path | None, *, draft: bool = False
+) -> Iterator[Pair]:
     for size in sizes:
         rectified = rectification(parallel_rig(size))
         per = rectified.rig.left.fx * rectified.rig.baseline_m
@@ -113,10 +134,10 @@ def of_scenes(names: Sequence[str], sizes: Sequence[tuple[int, int]], grains: Se
                 rng = np.random.default_rng(1)
                 plates = [grained(made[eye], grain, rng) for eye in ("left", "right")]
                 told = f"rendered {name} {size[0]}x{size[1]} {100 * grain:.0f} %"
-                yield looked_at(told, plates, rectified, per / made["Z"], made["N"], made["flags"] == 0, pixels)
+                yield looked_at(told, plates, rectified, per / made["Z"], made["N"], made["flags"] == 0, pixels, draft=draft)
 
 
-def of_motorcycle(grains: Sequence[float], pixels: int) -> Iterator[Pair]:
+def of_motorcycle(grains: Sequence[float], pixels: int, *, draft: bool = False) -> Iterator[Pair]:
     left, right, rectified = pair_of_plates()
     pair, per = motorcycle(), rectified.rig.left.fx * rectified.rig.baseline_m
     truth = np.where(np.isfinite(pair.disparity), pair.disparity, np.nan).astype(np.float32)
@@ -125,10 +146,10 @@ def of_motorcycle(grains: Sequence[float], pixels: int) -> Iterator[Pair]:
     for grain in grains:
         rng = np.random.default_rng(7)
         plates = [grained(p, grain, rng) if grain else p for p in (left, right)]
-        yield looked_at(f"motorcycle {100 * grain:.0f} %", plates, rectified, truth, N, pair.nonoccluded, pixels)
+        yield looked_at(f"motorcycle {100 * grain:.0f} %", plates, rectified, truth, N, pair.nonoccluded, pixels, draft=draft)
 
 
-def of_photographs(numbers: Sequence[int], kinds: Sequence[tuple[str, float]], pixels: int) -> Iterator[Pair]:
+def of_photographs(numbers: Sequence[int], kinds: Sequence[tuple[str, float]], pixels: int, *, draft: bool = False) -> Iterator[Pair]:
     rectified = rectification(parallel_rig((bench_grain.W, bench_grain.H)))
     per = rectified.rig.left.fx * rectified.rig.baseline_m
     reach = {"near_m": per / bench_grain.NEAREST_PX, "far_m": per / bench_grain.FARTHEST_PX}
@@ -141,17 +162,17 @@ def of_photographs(numbers: Sequence[int], kinds: Sequence[tuple[str, float]], p
             plates = []
             for light in (exposure * left, exposure * right):
                 plates.append((light + np.sqrt(np.maximum(floor + shot * light, 0)) * rng.standard_normal(light.shape)).astype(np.float32))
-            yield looked_at(f"photographs {number} {kind} x {exposure:g}", plates, rectified, truth, None, seen, pixels, **reach)
+            yield looked_at(f"photographs {number} {kind} x {exposure:g}", plates, rectified, truth, None, seen, pixels, **reach, draft=draft)
 
 
-def of_plain(numbers: Sequence[int], pixels: int) -> Iterator[Pair]:
+def of_plain(numbers: Sequence[int], pixels: int, *, draft: bool = False) -> Iterator[Pair]:
     rectified = rectification(parallel_rig((plain_scenes.W, plain_scenes.H)))
     for number in numbers:
         left, right, disparity, seen = plain_scenes.plain_pair(number)
-        yield looked_at(f"plain {number}", (left, right), rectified, disparity, None, seen, pixels)
+        yield looked_at(f"plain {number}", (left, right), rectified, disparity, None, seen, pixels, draft=draft)
 
 
-def of_real_boards(pixels: int) -> Iterator[Pair]:
+def of_real_boards(pixels: int, *, draft: bool = False) -> Iterator[Pair]:
     """Every pixel of the thirteen real boards; nothing where they are not at hand."""
     from stereorelight.calibration.lens_choice import choose
     from tests.benchmarks.bench_real_boards import FOLDER, plane_of, real_views
@@ -163,16 +184,16 @@ def of_real_boards(pixels: int) -> Iterator[Pair]:
     for pose, name in zip(calibration.board_poses, calibration.views.names, strict=True):
         plates = [linear(cv2.imread(str(FOLDER / f"{eye}{name}.jpg"))) for eye in ("left", "right")]
         shown, plane = plane_of(pose, calibration.board_m, rectified)
-        yield looked_at(f"board {name}", plates, rectified, np.where(shown, plane, np.nan), None, shown, pixels)
+        yield looked_at(f"board {name}", plates, rectified, np.where(shown, plane, np.nan), None, shown, pixels, draft=draft)
 
 
 def confidence_evidence(e: belief.Evidence) -> np.ndarray:
-    """(H W, 14) in the order of `belief.EVIDENCE`."""
+    """(H W, 15) in the order of `belief.EVIDENCE`."""
     edge = np.minimum(e.spread, 6) / 6
     columns = (
         np.ones_like(edge), e.confirmed, e.flow_agrees, edge, np.log(np.maximum(e.sigma, 1e-3) / 0.03), e.confirmed_nearby, e.flow_agrees_nearby,
         edge * e.confirmed_nearby, edge * e.flow_agrees_nearby, np.log(1 + e.misfit), e.alone, np.log(0.1 + e.texture), np.log(0.02 + e.uneven),
-        np.full_like(edge, np.log(belief.LEAST_LOST + e.lost)),
+        np.full_like(edge, np.log(belief.LEAST_LOST + e.lost)), np.zeros_like(edge) if e.on_rims is None else e.on_rims,
     )  # fmt: skip
     return np.stack([c.ravel() for c in columns], axis=1).astype(np.float64)
 
@@ -320,28 +341,32 @@ def main() -> None:
     parser.add_argument("--cache", type=Path)
     parser.add_argument("--pixels", type=int, default=5_000)
     parser.add_argument("--check", action="store_true")
+    parser.add_argument("--draft", action="store_true")
     asked = parser.parse_args()
     set_threads()
-    c = Coefficients(confidence=belief.COEFFICIENTS, sigma=belief.SIGMA_COEFFICIENTS, normals=surface.FITTED)
-    pairs = list(of_scenes(SCENES, SIZES, GRAINS, asked.pixels, asked.cache))
-    pairs += of_photographs(PHOTOGRAPHS, PHOTOGRAPHED, asked.pixels)
-    pairs += of_plain(PLAIN, asked.pixels)
+    draft = {"draft": asked.draft}
+    stands = belief.DRAFT_COEFFICIENTS if asked.draft else belief.COEFFICIENTS
+    c = Coefficients(confidence=stands, sigma=belief.SIGMA_COEFFICIENTS, normals=surface.FITTED)
+    pairs = list(of_scenes(SCENES, SIZES, GRAINS, asked.pixels, asked.cache, **draft))
+    pairs += of_photographs(PHOTOGRAPHS, PHOTOGRAPHED, asked.pixels, **draft)
+    pairs += of_plain(PLAIN, asked.pixels, **draft)
     families = sorted({p.family for p in pairs})
     if not asked.check:
-        c = fitted(pairs)
-        print("COEFFICIENTS =", [round(float(x), 3) for x in c.confidence])
-        print("SIGMA_COEFFICIENTS =", tuple(round(float(x), 3) for x in c.sigma))
-        print("FITTED =", tuple(round(float(x), 3) for x in c.normals), flush=True)
+        c = Coefficients(confidence=confidence_of(pairs), sigma=c.sigma, normals=c.normals) if asked.draft else fitted(pairs)
+        print("DRAFT_COEFFICIENTS =" if asked.draft else "COEFFICIENTS =", [round(float(x), 3) for x in c.confidence])
+        if not asked.draft:
+            print("SIGMA_COEFFICIENTS =", tuple(round(float(x), 3) for x in c.sigma))
+            print("FITTED =", tuple(round(float(x), 3) for x in c.normals), flush=True)
         for family in families:
             without = Coefficients(confidence=confidence_of([p for p in pairs if p.family != family]), sigma=c.sigma, normals=c.normals)
             judge(f"{family}, left out", [p for p in pairs if p.family == family], without)
     for family in families:
         judge(f"{family}, of the fit", [p for p in pairs if p.family == family], c)
     del pairs
-    judge("rendered, no part in it", list(of_scenes(HELD_OUT, SIZES, GRAINS[:2], asked.pixels, asked.cache)), c, each=True)
-    judge("photographs, no part in it", list(of_photographs(OTHER_PHOTOGRAPHS, OTHERWISE_PHOTOGRAPHED, asked.pixels)), c)
-    judge("real boards", list(of_real_boards(asked.pixels)), c, each=True)
-    for pair in of_motorcycle(GRAINS, 10**9):
+    judge("rendered, no part in it", list(of_scenes(HELD_OUT, SIZES, GRAINS[:2], asked.pixels, asked.cache, **draft)), c, each=True)
+    judge("photographs, no part in it", list(of_photographs(OTHER_PHOTOGRAPHS, OTHERWISE_PHOTOGRAPHED, asked.pixels, **draft)), c)
+    judge("real boards", list(of_real_boards(asked.pixels, **draft)), c, each=True)
+    for pair in of_motorcycle(GRAINS, 10**9, **draft):
         judge(pair.name, [pair], c)
 
 
