@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -9,7 +11,7 @@ from stereorelight.engine.bending import plate_correction
 from stereorelight.engine.pyramid import doubled
 from stereorelight.stereo import refine
 from stereorelight.stereo.proxy import matching_proxy
-from stereorelight.stereo.refine import BEND, CUT_PX, EFFORTS, MIXED_TRUST, bends_seen, expected_bend
+from stereorelight.stereo.refine import BEND, CUT_PX, EFFORTS, bends_seen, expected_bend
 
 SIZE = (400, 480)
 WEIGHT = 10.0  # 1/px^2: a pixel knows its disparity to 0.3 px
@@ -38,7 +40,7 @@ def test_a_wall_is_expected_to_bend_less_than_anything_is() -> None:
     assert np.median(found[:15, :15]) < 0.5 * BEND
 
 
-def test_a_pixel_that_shows_both_sides_of_an_outline_moves_neither(monkeypatch) -> None:
+def test_a_pixel_that_shows_both_sides_of_an_outline_moves_neither() -> None:
     """A card before a wall, its upright outlines a part of a pixel from where pixels end, another part in either eye."""
     rng, finer, (h, w) = np.random.default_rng(3), 8, (96, 192)
     card_px, wall_px, left_edge, right_edge = 20.5, 6.25, 90.4, 150.7
@@ -67,8 +69,7 @@ def test_a_pixel_that_shows_both_sides_of_an_outline_moves_neither(monkeypatch) 
     trust = np.where(hidden | (x < card_px), np.float32(0.02), np.float32(1)) * np.ones((h, 1), np.float32)
     rims = inside & ((x < left_edge + 3) | (x > right_edge - 3))
     off = {}
-    for share in (MIXED_TRUST, 1.0):
-        monkeypatch.setattr(refine, "MIXED_TRUST", share)
-        found = refine.photometric_surface(proxy, true, trust, effort=EFFORTS["standard"]).disparity
+    for share in (EFFORTS["fine"].mixed, 1.0):
+        found = refine.photometric_surface(proxy, true, trust, effort=replace(EFFORTS["fine"], mixed=share)).disparity
         off[share] = np.abs(found - true)[8:-8, rims].mean()
-    assert off[MIXED_TRUST] < 0.3 * off[1.0]
+    assert off[EFFORTS["fine"].mixed] < 0.3 * off[1.0]

@@ -42,7 +42,7 @@ EVIDENCE = (
     "on rims",
 )
 COEFFICIENTS = np.array(
-    [0.22, 0.692, 0.462, -0.946, -1.888, 1.218, 0.616, -0.305, -0.802, -0.086, -1.492, 0.233, -0.324, -0.487, 1.106], dtype=np.float32
+    [0.232, 0.809, 0.095, -1.141, -2.145, 0.717, 0.642, -0.187, -0.968, -0.152, -1.129, 0.295, -0.336, -0.616, 2.35], dtype=np.float32
 )
 # Of half-size pictures without a second opinion, their lengths in pixels of the plate; none of their ground lies on rims.
 DRAFT_COEFFICIENTS = np.array(
@@ -51,7 +51,7 @@ DRAFT_COEFFICIENTS = np.array(
 FLOOR, LOWER = 0.7, 0.22  # by which ground of which nothing is known but what lies beside it is told right; and where the eyes share nothing
 # log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log of how far errors hang together, and what is missing
 # of `SURE` where the eyes share nothing: a match that is wrong there is wrong by any amount.
-SIGMA_COEFFICIENTS = (0.792, 0.933, 0.626, 0.203, 2.886)
+SIGMA_COEFFICIENTS = (0.813, 0.84, 0.674, 0.183, 2.886)
 SURE = 0.8
 MOST_SIGMA_PX = 16.0
 WINDOW = (7, 7)

@@ -81,6 +81,8 @@ class Effort:
     steps  : of the solver on each level of a round; last: of the last round.
     finest : the level that rounds before the last stop at, 0 the full size, 1 half of it: they only bring the surface near enough for
              the last to look at the pictures from.
+    tail   : of bends, as `plate_correction` takes it, in all rounds but the first, where steps of matching look like bends.
+    mixed  : trust in pixels that show both sides of a step: what they match is neither.
     """
 
     passes: int
@@ -92,12 +94,14 @@ class Effort:
     stride: int = 1
     tau_px: float = 0.25
     blends: int = 1
+    tail: float = 0.0
+    mixed: float = 1.0
 
 
 EFFORTS = {
     "draft": Effort(passes=1, rounds=1, steps=4, last=4, radius=6, stride=4, tau_px=0.5),
-    "standard": Effort(passes=1, rounds=4, steps=12, last=12, finest=1),
-    "fine": Effort(passes=2, rounds=4, steps=20, last=20, blends=2),
+    "standard": Effort(passes=1, rounds=4, steps=12, last=6, finest=1),
+    "fine": Effort(passes=2, rounds=4, steps=20, last=20, blends=2, tail=4.0, mixed=0.1),
 }
 GRAINY = 1.5  # grey levels of noise from which matches scatter more about a plane
 BLEND_TAU_PX = 0.5  # planes that differ by more are of two surfaces
@@ -110,11 +114,9 @@ BESIDE_PX = 3  # of hidden ground: so far an outline reaches in an interpolated 
 MIXED_STEP_PX = 1.0  # over 3 px, that is two surfaces
 MIXED_PX = 2  # beside a step: so far lenses, samples and splines carry the other side of it
 UNSEEN_TRUST, UNSURE_TRUST = 0.02, 0.1
-MIXED_TRUST = 0.1  # of pixels that show both sides of a step: what they match is neither
 PRIOR = 0.02  # weight of the matched disparity where the pictures say nothing, 1/px^2: its errors hang together over many pixels
 UNSEEN_PRIOR = 0.0005  # and of background copied along a row: enough to hold the level, too little to print rows
 CUT_PX = 0.065  # a second difference that no surface makes: a depth edge, over which nothing binds
-TAIL = 4.0  # of bends, as of Student's t with a quarter of a degree of freedom; none in the first round, where steps of matching look like bends
 LEVELS = 5
 BEND = 0.006  # px per px^2: what a surface bends by before anything is known of it
 BEND_DOUBT = 4.0  # worth of that guess, in independent measurements
@@ -228,7 +230,8 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
     both = (trust > UNSEEN_TRUST).view(np.uint8)
     # What hides ground stands to the right of it in the left eye, and right beside it in the other: there, its outline is what is looked at.
     seen = Seen.where(cv2.erode(both, np.ones((1, 1 + BESIDE_PX), np.uint8), anchor=(0, 0)) > 0)
-    trust = np.where(_mixed(disparity) & (trust > UNSEEN_TRUST), np.float32(MIXED_TRUST) * trust, trust)
+    if effort.mixed < 1:
+        trust = np.where(_mixed(disparity) & (trust > UNSEEN_TRUST), np.float32(effort.mixed) * trust, trust)
 
     def evidence(d: Float32) -> tuple[Float32, Float32, Float32]:
         residual, rate = left_over(proxy.left_grey, left_spline, right_spline, d, seen)
@@ -245,7 +248,7 @@ def photometric_surface(proxy: Proxy, disparity: Float32, trust: Float32, *, eff
         (weight, pull, mean), energies = at_once(partial(evidence, d), bends)
         bend = np.full_like(mean, BEND) if bend is None else expected_bend(energies, mean, bend)
         finest, steps = (effort.finest, effort.steps) if k < effort.rounds - 1 else (0, effort.last)
-        tail = TAIL if k else 0.0
+        tail = effort.tail if k else 0.0
         moved = plate_correction(d, weight, pull, bend, cut=CUT_PX, tail=tail, levels=LEVELS, steps=steps, finest=finest)
         d = np.add(d, np.clip(moved, -1, 1, out=moved), out=moved)
     assert bend is not None
