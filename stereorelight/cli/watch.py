@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from stereorelight.cli.progress import Bar
+from stereorelight.shot.ahead import compiling_ahead
 from stereorelight.shot.frame import Event
 from stereorelight.shot.run import RunSummary, run_shot
 from stereorelight.shot.steps import STEPS
@@ -18,7 +19,7 @@ def watched_run(shot: Path, *, frames: str | None = None, force: bool = False, w
     """`run_shot` with its progress shown."""
     steps: dict[str, int] = defaultdict(int)
     seconds: dict[str, float] = defaultdict(float)
-    with Bar(shot.name, total=len(STEPS)) as bar:
+    with compiling_ahead(), Bar(shot.name, total=len(STEPS)) as bar:
 
         def show(event: Event) -> None:
             bar.note(f"{event.frame} {event.step}", advance=int(event.state != "begins"), total=event.frames * event.steps)
