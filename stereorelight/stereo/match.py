@@ -21,6 +21,7 @@ from stereorelight.engine.support import supported
 from stereorelight.errors import PlateError
 from stereorelight.stereo.halves import half_proxy, nearest
 from stereorelight.stereo.median import median_5
+from stereorelight.stereo.plains import carried_on
 from stereorelight.stereo.proxy import CALM, Proxy, grey_of
 from stereorelight.stereo.rims import on_rims
 
@@ -220,7 +221,10 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     speckle_px = SUPPORT_SPECKLE_PX * float(np.clip(noise / CALM, 1, 3))
     if calm is not proxy and guided and led:
         speckle_px = SUPPORT_SPECKLE_PX
-        held = np.where(consistent(left, right), left, np.float32(np.nan))
+        carried, changed = carried_on(
+            proxy.left_grey, proxy.right_grey, calm.left, left, noise=noise, grain2=sum(grain**2 for grain in proxy.grains)
+        )
+        held = np.where(changed | consistent(left, right), carried, np.float32(np.nan))
         again, right = supported(*seen, given=held, alike=alike, step=step, pull=AGAIN_PULL, limit=AGAIN_LIMIT)
         left = np.where(np.abs(again - left) <= 0.5, left, again)  # the pull draws parts of a pixel to whole ones
     left = without_speckles(left, round(speckle_px))
