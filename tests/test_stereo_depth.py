@@ -9,6 +9,7 @@ from stereorelight.compare.depth import disparity_figures
 from stereorelight.compare.edges import grown
 from stereorelight.compare.motorcycle import motorcycle
 from stereorelight.compare.normals import disparity_normal_figures
+from stereorelight.compare.tally import RegionFigures
 from stereorelight.errors import PlateError, ShotError
 from stereorelight.passes import Flag
 from stereorelight.stereo.depth import recover
@@ -252,15 +253,24 @@ def test_motorcycle_at_another_exposure_and_colour() -> None:
     assert bad2(cast) <= 1.3 * bad2(right)
 
 
-def test_motorcycle_under_two_per_cent_of_grain() -> None:
-    """Grain costs three tenths more wrong pixels; half as many again when matched once, and jumps cost as much as in clean plates."""
+def test_motorcycle_under_two_per_cent_of_grain(real) -> None:
+    """Grain costs three tenths more wrong pixels at most, whichever way it falls, and half of that on average; half as many again when matched
+    once, and jumps cost as much as in clean plates; a third, and on one of these draws six tenths, where plain ground is left as it was matched."""
     left, right, rectified = pair_of_plates()
-    pair, rng = motorcycle(), np.random.default_rng(3)
-    d = recover(grained(left, 0.02, rng), grained(right, 0.02, rng), rectified).rectified["disparity"]
-    seen = disparity_figures(d, pair.disparity, nonoccluded=pair.nonoccluded).regions["nonoccluded"]
-    assert seen.cover_percent == 100
-    assert seen.bad_percent[2.0] <= 3.2
-    assert seen.bad_percent[0.5] <= 15.1
+    pair = motorcycle()
+
+    def seen(d: np.ndarray) -> RegionFigures:
+        return disparity_figures(d, pair.disparity, nonoccluded=pair.nonoccluded).regions["nonoccluded"]
+
+    clean, bad2 = seen(real["standard"].rectified["disparity"]).bad_percent[2.0], []
+    for draw in (7, 1, 2, 3):
+        rng = np.random.default_rng(draw)
+        grainy = seen(recover(grained(left, 0.02, rng), grained(right, 0.02, rng), rectified).rectified["disparity"])
+        assert grainy.cover_percent == 100
+        assert grainy.bad_percent[0.5] <= 15.1
+        bad2.append(grainy.bad_percent[2.0])
+    assert max(bad2) <= 1.3 * clean
+    assert np.mean(bad2) <= 1.2 * clean
 
 
 def test_normals_of_disparity_beat_opencv_alone(real) -> None:

@@ -221,9 +221,7 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     speckle_px = SUPPORT_SPECKLE_PX * float(np.clip(noise / CALM, 1, 3))
     if calm is not proxy and guided and led:
         speckle_px = SUPPORT_SPECKLE_PX
-        carried, changed = carried_on(
-            proxy.left_grey, proxy.right_grey, calm.left, left, noise=noise, grain2=sum(grain**2 for grain in proxy.grains)
-        )
+        carried, changed = carried_on(proxy.left_grey, proxy.right_grey, calm.left, left, noise=noise, grain2=sum(grain**2 for grain in proxy.grains))
         held = np.where(changed | consistent(left, right), carried, np.float32(np.nan))
         again, right = supported(*seen, given=held, alike=alike, step=step, pull=AGAIN_PULL, limit=AGAIN_LIMIT)
         left = np.where(np.abs(again - left) <= 0.5, left, again)  # the pull draws parts of a pixel to whole ones

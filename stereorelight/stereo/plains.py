@@ -27,15 +27,17 @@ STEEPEST = 0.6  # px per px
 FITS = 3  # rounds of least squares over what lies on the best plane
 ON_PX, OFF_PX = 1.0, 1.5  # how near its plane ground lies on it, and how far from it no longer
 OWN_SHARE, OTHER_SHARE = 0.4, 0.25  # of a piece of ground that must lie on its own plane, and on one that goes on from ground beside it
+SETTLED = 0.75  # of a piece that lies on its own plane: it leaves that only for one that half as much of it lies on
 BESIDE_PX = (4, 8, 12)  # from one piece to the next
 PATCH_PX = 15  # the smallest patch that is looked at
 STEP_PX, STEP_WINDOW = 2.0, (5, 5)  # change of disparity that is a step
-STEP_SHARE = 0.15  # of a patch's rim within its ground that must be a step: ground that bends leaves its plane without one
+STEP_SHARE = 0.1  # of a patch's rim within its ground that must be a step: ground that bends leaves its plane without one
 HIDDEN_WINDOW = (1, 5)  # beside hidden ground the other eye is not asked either
 MEAN_PX = 3.0  # over which even differences of brightness are no evidence
-OBJECTS, CHANCE = 0.1, 1.5  # of the grain's variance: what the pictures may say against the plane, and by chance over the root of their pixels
+OBJECTS, CHANCE = 0.05, 1.5  # of the grain's variance: what the pictures may say against the plane, and by chance over the root of their pixels
 FEWEST = 8  # pixels, of which that is told
-SHIFTS = ((slice(1, None), slice(None)), (slice(None, -1), slice(None)), (slice(None), slice(1, None)), (slice(None), slice(None, -1)))
+ALL, FIRST, LAST = slice(None), slice(None, -1), slice(1, None)
+NEIGHBOURS = (((LAST, ALL), (FIRST, ALL)), ((FIRST, ALL), (LAST, ALL)), ((ALL, LAST), (ALL, FIRST)), ((ALL, FIRST), (ALL, LAST)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -157,7 +159,8 @@ def planes_of(ground: Ground) -> Float64:
         planes, own = ground.planes[from_where], from_where == k
         share = np.mean(_off(planes, ground.spots[k]) < ON_PX, axis=1)
         worth = share * ground.area[k] + np.where(own, 0, on[from_where])
-        worth[share < np.where(own, OWN_SHARE, OTHER_SHARE)] = 0
+        least = max(OTHER_SHARE, 0.5 * ground.share[k]) if ground.share[k] >= SETTLED else OTHER_SHARE
+        worth[share < np.where(own, OWN_SHARE, least)] = 0
         if worth.max() > 0:
             taken[k] = planes[worth.argmax()]
     return taken
@@ -165,10 +168,11 @@ def planes_of(ground: Ground) -> Float64:
 
 def _stepped(patch: np.ndarray, label: np.ndarray, disparity: Float32, n: int) -> Bool:
     """(n,) bool: patches that end in a step somewhere within their own ground."""
-    window = np.ones(STEP_WINDOW, np.uint8)
-    step = cv2.dilate(disparity, window) - cv2.erode(disparity, window) > STEP_PX
+    window, plain = np.ones(STEP_WINDOW, np.uint8), label > 0  # at an outline nobody wonders at a step
+    highest, lowest = (np.where(plain, disparity, np.float32(far)) for far in (-1e9, 1e9))
+    step = cv2.dilate(highest, window) - cv2.erode(lowest, window) > STEP_PX
     rim, steps = np.zeros(n), np.zeros(n)
-    for here, there in zip(SHIFTS, (SHIFTS[1], SHIFTS[0], SHIFTS[3], SHIFTS[2]), strict=True):
+    for here, there in NEIGHBOURS:
         ends = (patch[here] > 0) & (patch[there] == 0) & (label[here] == label[there])
         of = patch[here][ends]
         rim += np.bincount(of, minlength=n)
