@@ -117,6 +117,17 @@ def test_ground_that_bends_has_no_step_and_stays(plain) -> None:
     assert not changed.any()
 
 
+def test_a_step_on_ground_that_bends_stays_too(plain) -> None:
+    """A chin before its neck: skin has no plane that could go on over the step."""
+    step = (slice(70, 110), slice(20, 60))
+    flat, bent = (plain.truth + np.float32(k) * np.where(X < 150, (X - 75) ** 2, 0).astype(np.float32) for k in (0.0, 0.003))
+    for ground, goes in ((flat, True), (bent, False)):
+        stepped = ground.copy()
+        stepped[step] += np.float32(OFF_PX)
+        _, changed = plain.carried(stepped)
+        assert changed[step].any() == goes
+
+
 def test_a_piece_that_is_mostly_wrong_takes_the_plane_that_goes_on_from_beside_it() -> None:
     """A shadow's edge cuts a strip off the floor; two thirds of the strip have jumped to another plane."""
     ground = np.ones((HEIGHT, WIDTH), np.bool_)

@@ -21,7 +21,7 @@ from stereorelight.engine.rows import at_once
 PLAIN = 0.6  # of the noise, grey levels per px of the calmed picture, either way: what changes faster is an edge
 CALM_PX = 1.0  # by which it is softened for that
 SMALLEST_PX = 150  # plain ground that has a plane of its own
-SAMPLES, TRIES = 600, 100  # pixels that speak for a piece of ground, and planes through three of them
+SAMPLES, TRIES = 400, 100  # pixels that speak for a piece of ground, and planes through three of them
 LEAST_AREA2 = 20.0  # px^2: twice the area that three pixels must span to make a plane
 STEEPEST = 0.6  # px per px
 FITS = 3  # rounds of least squares over what lies on the best plane
@@ -32,6 +32,7 @@ BESIDE_PX = (4, 8, 12)  # from one piece to the next
 PATCH_PX = 15  # the smallest patch that is looked at
 STEP_PX, STEP_WINDOW = 2.0, (5, 5)  # change of disparity that is a step
 STEP_SHARE = 0.1  # of a patch's rim within its ground that must be a step: ground that bends leaves its plane without one
+MOST_BENT = 0.3  # of a piece that leaves its plane without a step: a face has no plane to go on in
 HIDDEN_WINDOW = (1, 5)  # beside hidden ground the other eye is not asked either
 MEAN_PX = 3.0  # over which even differences of brightness are no evidence
 OBJECTS, CHANCE = 0.05, 1.5  # of the grain's variance: what the pictures may say against the plane, and by chance over the root of their pixels
@@ -180,14 +181,25 @@ def _stepped(patch: np.ndarray, label: np.ndarray, disparity: Float32, n: int) -
     return (steps > 0) & (steps >= STEP_SHARE * rim)
 
 
+def _bent(patch: np.ndarray, stepped: Bool, ground: Ground) -> Bool:
+    """(n,) bool: patches of a piece that lies off its plane by bending, too."""
+    off = patch > 0
+    of_patch, of_piece = patch[off], ground.label[off]
+    piece = np.zeros(stepped.size, np.intp)
+    piece[of_patch] = of_piece
+    bends = np.bincount(of_piece[~stepped[of_patch]], minlength=ground.area.size) > MOST_BENT * ground.area
+    return bends[piece]
+
+
 def carried_on(left: Float32, right: Float32, calm: UInt8, disparity: Float32, *, noise: float, grain2: float) -> tuple[Float32, Bool]:
     """(H, W) px: the disparity of the left eye with patches of plain ground on the plane of their ground; and where they are.
 
     left, right : (H, W) grey of the pair, grain and all.   calm: (H, W, 3) the left picture with less.   disparity: (H, W) px, finite.
     noise       : of the picture, grey levels.   grain2: variance of what grain alone leaves between the greys.
     NaN where the right eye does not see the ground: nothing speaks for a disparity there, but the one it had is wrong.
-    A patch is what lies off the plane together.  It goes on it where it ends in a step, and where the pictures do not object by more
-    than chance: of what both eyes would see were it on the plane, what is left between them, less local means, against what was.
+    A patch is what lies off the plane together.  It goes on it where it ends in a step, on ground that does not bend, and where the pictures
+    do not object by more than chance: of what both eyes would see were it on the plane, what is left between them, less local means, against
+    what was.
     """
     nothing = disparity, np.zeros(disparity.shape, np.bool_)
     ground = ground_of(plain_ground(calm, noise), disparity)
@@ -202,6 +214,7 @@ def carried_on(left: Float32, right: Float32, calm: UInt8, disparity: Float32, *
     n, patch, stats, _ = cv2.connectedComponentsWithStats(away.view(np.uint8), connectivity=4)
     asked = (stats[:, cv2.CC_STAT_AREA] >= PATCH_PX) & _stepped(patch, ground.label, disparity, n)
     asked[0] = False
+    asked &= ~_bent(patch, asked, ground)
     if not asked.any():
         return nothing
     changed = asked[patch]
