@@ -119,8 +119,8 @@ def test_ground_that_bends_has_no_step_and_stays(plain) -> None:
 
 def test_a_step_on_ground_that_bends_stays_too(plain) -> None:
     """A chin before its neck: skin has no plane that could go on over the step."""
-    step = (slice(70, 110), slice(20, 60))
-    flat, bent = (plain.truth + np.float32(k) * np.where(X < 150, (X - 75) ** 2, 0).astype(np.float32) for k in (0.0, 0.003))
+    step = (slice(70, 110), slice(90, 130))
+    flat, bent = (plain.truth + np.float32(k) * np.where(X < 75, (X - 75) ** 2, 0).astype(np.float32) for k in (0.0, 0.004))
     for ground, goes in ((flat, True), (bent, False)):
         stepped = ground.copy()
         stepped[step] += np.float32(OFF_PX)
