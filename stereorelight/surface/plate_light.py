@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from stereorelight.arrays import Bool, Float32, Float64, as_float32
+from stereorelight.surface.cast_light import least_of, uneven
 
 TERMS = 9
 WORK_WIDTH = 160  # the light is smooth over normals: a small picture holds all there is to know
@@ -26,9 +27,8 @@ SMALLEST_SHARE = 0.002  # of the frame: less ground than that says nothing about
 QUIET_PX = 5  # over which colours are averaged
 FEWEST = 120  # pixels of the small picture, likewise
 FLOOR = 0.08  # of a material's median radiance: shading is not believed below
-RIDGE = 2e-3
+RIDGE = 0.1  # of the variance that is left: lights are even as far as the plate does not say otherwise
 ROUNDS = 6
-HALVINGS = 4
 HELD_OUT_BLOCK = 6  # small pixels: wider than what noise and grain share
 LOCAL_SHARE = 0.1  # of the frame's width
 DARKEST = 1e-4  # radiance whose logarithm is still taken
@@ -174,13 +174,6 @@ def _spread(r: Float64) -> float:
     return 1.4826 * float(np.median(np.abs(r))) + 1e-6 if r.size else 1e-6
 
 
-def _start(B: Float64, radiance: Float64, w: Float64) -> Float64:
-    A = B * w[:, None]
-    ridge = np.full(TERMS, RIDGE * float((A * B).sum()) / TERMS)
-    ridge[0] *= 1e-3
-    return np.asarray(np.linalg.solve(A.T @ B + np.diag(ridge), A.T @ radiance), dtype=np.float64)
-
-
 def fit_light(
     log_grey: Float64, N: Float64, weight: Float64, radius: float, start: Float64 | None = None, held_out: Bool | None = None
 ) -> tuple[Float64, float, float]:
@@ -193,40 +186,31 @@ def fit_light(
     L = log_grey
     train = weight if held_out is None else weight * ~held_out
     inside = train > 0
-    floor = FLOOR * float(np.exp(np.median(L[weight > 0])))
-    c = _start(B[:, inside].T, np.exp(L[inside]), train[inside] / np.exp(L[inside])) if start is None else start
+    middle = float(np.exp(np.median(L[weight > 0])))
+    floor = FLOOR * middle
+    c = middle * np.eye(TERMS)[0] if start is None else start
     robust = np.ones_like(L)
+    spread = _spread(_Local(train, radius)(L)[inside])
 
     def shading(c: Float64) -> Float64:
         raw: Float64 = np.tensordot(c, B, 1)
         return raw
 
-    r_all = _Local(train, radius)(L - np.log(np.maximum(shading(c), floor)))
-    limit = _spread(r_all[inside])
-    least = float((train * np.minimum(np.abs(r_all), 3 * limit)).sum())
     for _ in range(ROUNDS):
         raw = shading(c)
         S = np.maximum(raw, floor)
         local = _Local(train * robust, radius)
-        J = local(B / S * (raw > floor))[:, inside].T
+        own = B / S * (raw > floor)
+        J = local(own)[:, inside].T
         r = local(L - np.log(S))[inside]
-        q = (train * robust)[inside]
-        A = (J * q[:, None]).T @ J
-        # Directions that a local fit cannot see, the strength of the light among them, stay where they are.
-        damp = np.eye(TERMS) * (RIDGE * np.trace(A) / TERMS + 1e-12)
-        step = np.linalg.solve(A + damp, (J * q[:, None]).T @ r)
-        for _ in range(HALVINGS):  # a light that goes dark explains nothing and would never come back
-            r_all = local(L - np.log(np.maximum(shading(c + step), floor)))
-            cost = float((train * np.minimum(np.abs(r_all), 3 * limit)).sum())
-            if cost < least:
-                c, least = c + step, cost
-                break
-            step = step / 2
-        else:
-            break
-        limit = _spread(r_all[inside])
-        robust = 1 / (1 + (r_all / (2 * limit)) ** 2) ** 2
-        least = float((train * np.minimum(np.abs(r_all), 3 * limit)).sum())
+        q = (train * robust)[inside] / (train * robust)[inside].sum()
+        # A local fit cannot see the strength of the light: on average it stays what it is.
+        level = (own[:, inside] * q).sum(axis=1)
+        A = (J * q[:, None]).T @ J + np.outer(level, level) + RIDGE * (spread / middle) ** 2 * uneven()
+        c = least_of(A, (J * q[:, None]).T @ (r + J @ c) + level * (level @ c))
+        r_all = local(L - np.log(np.maximum(shading(c), floor)))
+        spread = _spread(r_all[inside])
+        robust = 1 / (1 + (r_all / (2 * spread)) ** 2) ** 2
     judged = weight > 0 if held_out is None else (weight > 0) & held_out
     S = np.maximum(shading(c), floor)
     local = _Local(weight * robust, radius)

@@ -14,13 +14,17 @@ from scipy import ndimage
 
 from stereorelight.arrays import Bool, Float32, Float64
 from stereorelight.engine import shading as engine
-from stereorelight.surface.plate_light import Labels, PlateLight, light_of, log_chroma
+from stereorelight.surface.plate_light import LOCAL_SHARE, Labels, PlateLight, basis, light_of, log_chroma
 from stereorelight.surface.shading_levels import Level, around, cells_of, twice, typical
 
 f4 = np.float32
 
 # Texture, too, is wrong in the same way over several pixels, and a normal's error over as many: each of them has one vote a pixel, and ...
 CORRELATED_PX2 = 5.0  # ... disparity, which is wrong over wider ground, one for so many
+DOUBT_WIDTH = 320  # of a picture that shows well enough what given normals leave of brightness, and ...
+LEAST_CELLS = 50  # ... of a material there, to say so
+UNSEEN = 2.0  # variance that given normals' errors cause over what is seen of it: light and local means take up half, on cloth that is told truly
+LEAST_DOUBT = 1 / 16  # of what is told: no less is believed of the given normals' variance
 BEND = 80.0  # change of slope over the width of the frame that is nothing special
 WIDEST_BEND = 0.3  # the same over one pixel of any level
 SLOW_SHARE = 1 / 48  # of the width: what varies over more is not shading's to tell
@@ -61,6 +65,35 @@ def _grain(level: Level, cells: Labels, L: Float32, slow_px: float) -> tuple[Flo
         off = near - around(near, inside, max(slow_px / 2, 2.0))
         same /= (1 + off * off / (9 * (noise * noise + f4(PAINT**2)))) ** 2
     return variance, same.astype(np.float32)
+
+
+def _doubted(level: Level, cells: Labels, L: Float32, light: PlateLight, sensitive: Float32) -> Float64:
+    """(M,) how much of the variance that each material's given normals are told with is seen in the brightness that they leave unexplained.
+
+    What depth is off by as a whole tilts no normal, and how far its errors hang together is not passed on: its normals are told up to three
+    times as far off as they are.  Were they, the plate would differ from what light makes of them by more than it does.
+    L : (H, W) log brightness of cells.   sensitive : (H, W), the square of what log shading changes by with the slopes by rays.
+    """
+    by = max(1, round(L.shape[1] / DOUBT_WIDTH))
+    few = np.s_[::by, ::by]
+    x, y, pu, pv, qu, qv = (a[few] for a in level.rays)
+    du, dv, clear, of, brightness = (a[few] for a in (level.du, level.dv, level.clear, cells, L))
+    told = (level.turned * sensitive)[few]
+    p, q = pu * du + pv * dv, qu * du + qv * dv
+    N = np.stack([-p, q, 1 - x * p - y * q], axis=-1)
+    N /= np.linalg.norm(N, axis=-1, keepdims=True)
+    share = np.ones(level.count)
+    for k in range(level.count):
+        here = (of == k) & (clear >= 1)
+        if here.sum() < LEAST_CELLS or light.explained[k] <= 0:
+            continue
+        left = np.zeros_like(brightness)
+        S = np.einsum("nk,k->n", basis(N[here]), light.coefficients[k])
+        left[here] = brightness[here] - np.log(np.maximum(S, light.floor[k]))
+        left -= around(left, here.astype(np.float32), LOCAL_SHARE * left.shape[1])
+        seen = (1.4826 * float(np.median(np.abs(left[here])))) ** 2
+        share[k] = np.clip(UNSEEN * seen / max(float(np.median(told[here])), 1e-12), LEAST_DOUBT, 1.0)
+    return share
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,8 +159,13 @@ def solved(
     table = light.coefficients.astype(np.float32) if light.coefficients.size else np.zeros((1, 9), np.float32)
     floor = light.floor.astype(np.float32) if light.floor.size else np.ones(1, np.float32)
     weight, left, gu, gv = inside, zero, zero, zero
+    doubted = np.ones(shape, np.float32)
+    if shines:
+        _, gu, gv, _ = engine.shade(v, level.rays, cells, table, floor)
+        sensitive = (gu * gu + gv * gv) / f4(level.focal**2)
+        doubted = np.append(_doubted(level, cells, L, light, sensitive), 1.0).astype(np.float32)[cells]
     slopes = (free * level.focal) ** 2
-    believed: Float32 = (level.okc * f4(slopes) / np.maximum(level.turned, f4(1e-9))).astype(np.float32)
+    believed: Float32 = (level.okc * f4(slopes) / np.maximum(level.turned * doubted, f4(1e-9))).astype(np.float32)
     for _ in range(rounds):
         ws = zero
         if shines:
