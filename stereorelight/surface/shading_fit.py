@@ -77,7 +77,8 @@ def _doubted(level: Level, cells: Labels, L: Float32, light: PlateLight, sensiti
     by = max(1, round(L.shape[1] / DOUBT_WIDTH))
     few = np.s_[::by, ::by]
     x, y, pu, pv, qu, qv = (a[few] for a in level.rays)
-    du, dv, clear, of, brightness = (a[few] for a in (level.du, level.dv, level.clear, cells, L))
+    du, dv, clear, brightness = (a[few] for a in (level.du, level.dv, level.clear, L))
+    of = cells[few]
     told = (level.turned * sensitive)[few]
     p, q = pu * du + pv * dv, qu * du + qv * dv
     N = np.stack([-p, q, 1 - x * p - y * q], axis=-1)
@@ -162,7 +163,7 @@ def solved(
     doubted = np.ones(shape, np.float32)
     if shines:
         _, gu, gv, _ = engine.shade(v, level.rays, cells, table, floor)
-        sensitive = (gu * gu + gv * gv) / f4(level.focal**2)
+        sensitive: Float32 = ((gu * gu + gv * gv) / f4(level.focal**2)).astype(np.float32)
         doubted = np.append(_doubted(level, cells, L, light, sensitive), 1.0).astype(np.float32)[cells]
     slopes = (free * level.focal) ** 2
     believed: Float32 = (level.okc * f4(slopes) / np.maximum(level.turned * doubted, f4(1e-9))).astype(np.float32)
