@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
-from stereorelight.stereo.confidence import Evidence, confidence_from_evidence, floors, sigma_from_evidence, texture, uneven
+from stereorelight.stereo.confidence import Evidence, confidence_from_evidence, evidence, floors, sigma_from_evidence, texture, uneven
 from stereorelight.stereo.depth import matched, refined_with_evidence
 from stereorelight.stereo.flow import flow_disparity
 from stereorelight.stereo.match import search_range
-from stereorelight.stereo.proxy import matching_proxy
+from stereorelight.stereo.proxy import Proxy, matching_proxy
 from stereorelight.stereo.rectify import rectification
+from stereorelight.stereo.refine import Refined
 from stereorelight.stereo.settings import DepthSettings
 from stereorelight.synth.rigs import parallel_rig
 from tests import plain_scenes
@@ -84,6 +86,34 @@ def test_ground_on_the_plane_of_its_rims_is_surer_than_it_looks() -> None:
     assert told[2] > told[0] + 0.05
 
 
+def test_a_pixel_is_judged_beside_what_is_usual_in_its_picture() -> None:
+    """Eyes that differ by thirty times their grain all over: a pixel of that misfit is as sure as one of grain alone in a picture of grain alone."""
+    calm = replace(usual(), misfit=full(1), sigma=full(0.2))
+    rough = replace(calm, misfit=full(30), sigma=full(0.2 * 30 ** (1 / 8)))
+    told = [float(confidence_from_evidence(e)[0, 0]) for e in (calm, replace(rough, usual=30.0), rough)]
+    assert told[1] == pytest.approx(told[0], abs=1e-5)
+    assert told[2] < told[0] - 0.01
+    np.testing.assert_array_equal(confidence_from_evidence(replace(rough, usual=30.0).in_pixels(1)), confidence_from_evidence(rough))  # a draft
+
+
+def test_what_is_usual_is_more_than_grain_only_where_the_eyes_differ_all_over() -> None:
+    texture_of = cv2.GaussianBlur(np.random.default_rng(3).standard_normal((120, 200)), (0, 0), 2)
+    left = (110 + 90 * texture_of / np.abs(texture_of).max()).astype(np.float32)
+    grain = np.random.default_rng(4).standard_normal((3, 120, 200)).astype(np.float32)
+    rough = cv2.GaussianBlur(grain[2], (0, 0), 1.5) * 60
+
+    def found(right: np.ndarray) -> float:
+        greys, known = (left + 2 * grain[0], right), np.ones((120, 200), np.bool_)
+        pictures = [np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[..., None], 3, axis=2) for grey in greys]
+        proxy = Proxy(left=pictures[0], right=pictures[1], left_grey=greys[0], right_grey=greys[1], left_known=known, right_known=known)
+        flat = np.zeros((120, 200), np.float32)
+        refined = Refined(disparity=flat, slope_x=flat, slope_y=flat, unseen=flat > 0, sigma_px=flat + 1, slope_sigma=flat, clumped=flat + 1)
+        return evidence(proxy, refined, flat == 0, None).usual
+
+    assert found(left + 2 * grain[1]) == 1
+    assert found(left + 2 * grain[1] + rough) > 5
+
+
 def test_boards_that_had_no_part_in_the_fit() -> None:
     """Plain squares that fill the frame: what lies on rims is right, and told so; all of it within 0.1 of what it is told, on average."""
     rectified = rectification(parallel_rig((plain_scenes.W, plain_scenes.H)))
@@ -93,11 +123,11 @@ def test_boards_that_had_no_part_in_the_fit() -> None:
         proxy = matching_proxy(*(rectified.rectify(plate, eye, to_match=True) for plate, eye in ((left, "left"), (right_plate, "right"))))
         settings = DepthSettings()
         found = matched(proxy, search_range(proxy, rectified.rig), settings)
-        refined, _, evidence = refined_with_evidence(proxy, found, settings, flow_disparity(proxy))
+        refined, _, speaks = refined_with_evidence(proxy, found, settings, flow_disparity(proxy))
         known = np.isfinite(truth)
-        told.append(confidence_from_evidence(evidence)[known])
+        told.append(confidence_from_evidence(speaks)[known])
         right.append((np.abs(refined.disparity - truth) <= 1)[known])
-        mended.append(np.zeros(known.sum(), np.bool_) if evidence.on_rims is None else evidence.on_rims[known] > 0)
+        mended.append(np.zeros(known.sum(), np.bool_) if speaks.on_rims is None else speaks.on_rims[known] > 0)
     sure, good, on = (np.concatenate(parts) for parts in (told, right, mended))
     assert on.mean() > 0.1
     assert good[on].mean() > 0.9

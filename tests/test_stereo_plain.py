@@ -59,7 +59,7 @@ def test_half_the_size_leads_where_the_full_size_is_lost(monkeypatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason="STEREORELIGHT_DATA does not name a folder that holds opencv_chessboard: the real pairs are not here")
-def test_real_boards_lie_on_their_planes() -> None:
+def test_real_boards_lie_on_their_planes_and_are_believed() -> None:
     """Three of the thirteen real pairs: every pixel of the board, against the plane of its corners, beside SGBM filtered by WLS."""
     from stereorelight.calibration.lens_choice import choose
     from tests.benchmarks.bench_depth import linear
@@ -67,14 +67,16 @@ def test_real_boards_lie_on_their_planes() -> None:
 
     _, calibration = choose(real_views(), ((640, 480), (640, 480)))
     rectified = rectification(calibration.rig)
-    ours, theirs = [], []
+    ours, theirs, told = [], [], []
     for name in ("01", "07", "13"):
         pose = calibration.board_poses[list(calibration.views.names).index(name)]
         left, right = (linear(cv2.imread(str(DATA / f"{eye}{name}.jpg"))) for eye in ("left", "right"))
         shown, plane = plane_of(pose, calibration.board_m, rectified)
         proxy = matching_proxy(rectified.rectify(left, "left"), rectified.rectify(right, "right"))
         theirs.append(np.abs(yardstick(proxy, search_range(proxy, rectified.rig)) - plane)[shown])
-        ours.append(np.abs(recover(left, right, rectified).rectified["disparity"] - plane)[shown])
+        found = recover(left, right, rectified).rectified
+        ours.append(np.abs(found["disparity"] - plane)[shown])
+        told.append(found["confidence"][shown])
     error, usual = np.concatenate(ours), np.concatenate(theirs)
     for name, off_px in (("ours", error), ("SGBM + WLS", usual)):
         print(f"{name}: off by more than 1 and 2 px {np.mean(~(off_px <= 1)):.3f} {np.mean(~(off_px <= 2)):.3f}")
@@ -82,3 +84,9 @@ def test_real_boards_lie_on_their_planes() -> None:
     assert np.mean(error > 1) < 0.28
     assert np.mean(error > 2) < 0.13
     assert np.mean(error > 2) < 0.5 * np.mean(~(usual <= 2))
+    sure, right = np.concatenate(told), error <= 1
+    tenths = [(sure >= low) & (sure < low + 0.1) for low in np.arange(0, 1, 0.1)]
+    off = [float(sure[t].mean() - right[t].mean()) for t in tenths if t.mean() > 0.05]
+    print(f"told {sure.mean():.3f}, right {right.mean():.3f}; by tenths {np.round(off, 3)}")
+    assert sure.mean() == pytest.approx(right.mean(), abs=0.05)
+    assert np.abs(off).max() < 0.15  # of tenths that hold a twentieth of the pixels and more

@@ -4,7 +4,8 @@ In: the match, the refined disparity and the flow's second opinion.  Out: confid
 within 1 px of truth, and reason flags.  The evidence: the right eye confirms the match, here and round about; the flow confirms
 it, here and round about; no edge is near; the refinement's own standard deviation, which knows noise and texture; what is left
 between the eyes there, beside the plates' grain; whether they share anything but grain; whether there is texture to match by; how uneven
-the surface is; and how much of what both eyes see was matched at all: where matching is lost on much of a picture, the rest of it is less sure.
+the surface is; how much of what both eyes see was matched at all: where matching is lost on much of a picture, the rest of it is less sure; and
+plain ground that took the plane of the rims about it.  Deviations are beside what is usual in the picture, where that is more than grain.
 A logistic regression weighs it.  Its coefficients were fitted on synthetic shots; docs/depth.md shows the check on
 footage that had no part in the fit.  The same evidence gives the standard deviation of the disparity."""
 
@@ -66,6 +67,7 @@ USUALLY_CLUMPED, LEAST_CLUMPED = 0.5, 0.05
 TEXTURE = (5, 5)
 UNEVEN = 5  # quarter-size px, odd
 LEAST_LOST = 0.05  # of what both eyes see: outlines are lost in every pair
+USUAL_SHARE = 0.125  # of the logarithm of the usual misfit; a fourth is what it makes sigma wider by, were it all noise
 IGNORED_SIGMA_PX = 1.0  # of ground whose brightness may not speak: no texture there makes it surer
 LOST_FLOOR = 0.4  # share that is lost by which the floors are less by a factor of e
 
@@ -83,6 +85,7 @@ class Evidence:
     uneven  : standard deviation of the disparity about a plane, over 20 x 20, px.
     lost    : one number, the share of what both eyes see where the right eye does not confirm the match.
     on_rims : 1 on plain ground that took the plane of the rims about it, else 0; None: there is none.
+    usual   : one number, at least 1: the misfit in the middle of those that are confirmed.
     """
 
     confirmed: Float32
@@ -98,11 +101,13 @@ class Evidence:
     uneven: Float32
     lost: float
     on_rims: Float32 | None = None
+    usual: float = 1.0
 
     def in_pixels(self, px: float) -> Evidence:
         """The same with lengths in pixels of which `px` make one of these: half the size is judged as what it is on the plate."""
         scale = np.float32(px)
-        return replace(self, spread=scale * self.spread, sigma=scale * self.sigma, uneven=scale * self.uneven)
+        # Where all of a picture differs by more than grain, a draft errs all over: there nothing is usual.
+        return replace(self, spread=scale * self.spread, sigma=scale * self.sigma, uneven=scale * self.uneven, usual=1.0)
 
 
 def texture(grey: Float32, grain: float) -> Float32:
@@ -163,7 +168,7 @@ def evidence(
             agrees = sure if flow is None else (np.abs(flow - d) <= 1).astype(np.float32)
         return agrees, cv2.blur(sure, CONFIRMED_NEARBY), cv2.blur(agrees, FLOW_NEARBY), cv2.dilate(d, near) - cv2.erode(d, near), uneven(d)
 
-    def seen() -> tuple[Float32, Float32, Float32, float]:
+    def seen() -> tuple[Float32, Float32, Float32, float, float]:
         mean = cv2.blur(residual, MISFIT)
         left_over = np.maximum(cv2.blur(residual * residual, MISFIT) - mean * mean, np.float32(0))
         grain = max(proxy.grains[0], LEAST_GRAIN)
@@ -171,9 +176,12 @@ def evidence(
         other = np.where(speaks, proxy.left_grey - residual, proxy.left_grey)  # what one eye alone can see speaks neither way
         asked = speaks if ignore is None else speaks & ~ignore
         lost = 1 - float(np.count_nonzero(asked & confirmed)) / max(float(np.count_nonzero(asked)), 1.0)
-        return left_over / np.float32(2 * grain * grain), alone(proxy.left_grey, other, grain), texture(proxy.left_grey, grain), lost
+        misfit = left_over / np.float32(2 * grain * grain)
+        some = misfit[::4, ::4][(asked & confirmed)[::4, ::4]]
+        usual = max(float(np.median(some)), 1.0) if some.size else 1.0
+        return misfit, alone(proxy.left_grey, other, grain), texture(proxy.left_grey, grain), lost, usual
 
-    (agrees, confirmed_nearby, agrees_nearby, spread, rough), (misfit, lonely, shown, lost) = at_once(said, seen)
+    (agrees, confirmed_nearby, agrees_nearby, spread, rough), (misfit, lonely, shown, lost, usual) = at_once(said, seen)
     return Evidence(
         confirmed=sure,
         flow_agrees=agrees,
@@ -188,16 +196,24 @@ def evidence(
         uneven=rough,
         lost=lost,
         on_rims=None if on_rims is None else on_rims.astype(np.float32),
+        usual=usual,
     )
 
 
 def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS) -> Float32:
-    """(H, W) float32, 0..1: among pixels of confidence c a share of about c is within 1 px of truth."""
-    always = coefficients[0] + coefficients[13] * np.log(np.float32(LEAST_LOST + e.lost))
+    """(H, W) float32, 0..1: among pixels of confidence c a share of about c is within 1 px of truth.
+
+    Where eyes differ by more than grain all over (compression, sharpening, rows that do not quite agree), that they do tells no pixel from
+    another: misfit counts in what is usual, and the refinement's sigma, which took it for noise, is made less.
+    """
+    always = (
+        coefficients[0] + coefficients[13] * np.log(np.float32(LEAST_LOST + e.lost)) - coefficients[4] * np.float32(USUAL_SHARE * np.log(e.usual))
+    )
     weights = np.concatenate([[always], coefficients[1:13], coefficients[14:]]).astype(np.float32)
     nearby = (e.confirmed_nearby, e.flow_agrees_nearby)
     on_rims = np.zeros_like(e.sigma) if e.on_rims is None else e.on_rims
-    given = (e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, e.misfit, e.alone, e.texture, e.uneven, on_rims)
+    misfit = e.misfit if e.usual == 1 else e.misfit / np.float32(e.usual)
+    given = (e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, misfit, e.alone, e.texture, e.uneven, on_rims)
     return believed(weights, *given, floors=floors(e.lost))
 
 

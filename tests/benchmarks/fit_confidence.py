@@ -190,9 +190,11 @@ def of_real_boards(pixels: int, *, draft: bool = False) -> Iterator[Pair]:
 def confidence_evidence(e: belief.Evidence) -> np.ndarray:
     """(H W, 15) in the order of `belief.EVIDENCE`."""
     edge = np.minimum(e.spread, 6) / 6
+    log_sigma = np.log(np.maximum(e.sigma, 1e-3) / 0.03) - belief.USUAL_SHARE * np.log(e.usual)
     columns = (
-        np.ones_like(edge), e.confirmed, e.flow_agrees, edge, np.log(np.maximum(e.sigma, 1e-3) / 0.03), e.confirmed_nearby, e.flow_agrees_nearby,
-        edge * e.confirmed_nearby, edge * e.flow_agrees_nearby, np.log(1 + e.misfit), e.alone, np.log(0.1 + e.texture), np.log(0.02 + e.uneven),
+        np.ones_like(edge), e.confirmed, e.flow_agrees, edge, log_sigma, e.confirmed_nearby, e.flow_agrees_nearby,
+        edge * e.confirmed_nearby, edge * e.flow_agrees_nearby, np.log(1 + e.misfit / e.usual), e.alone, np.log(0.1 + e.texture),
+        np.log(0.02 + e.uneven),
         np.full_like(edge, np.log(belief.LEAST_LOST + e.lost)), np.zeros_like(edge) if e.on_rims is None else e.on_rims,
     )  # fmt: skip
     return np.stack([c.ravel() for c in columns], axis=1).astype(np.float64)
