@@ -89,6 +89,15 @@ def test_without_a_cache_nothing_is_compiled_ahead(tmp_path: Path) -> None:
     assert ahead.compiled(kernel_at(tmp_path / "planes.py", None))
 
 
+def test_a_helper_compiles_what_runs_not_what_lies_about(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a clone of the project into which it is installed: what lies in the folder would fill a cache that no run looks into."""
+    decoy = tmp_path / "stereorelight"
+    decoy.mkdir()
+    (decoy / "__init__.py").write_text("raise SystemExit(3)\n")
+    monkeypatch.chdir(tmp_path)
+    assert ahead.helper([]).wait() == 0
+
+
 @pytest.mark.parametrize("fails", [False, True])
 def test_helpers_end_with_the_block(monkeypatch: pytest.MonkeyPatch, fails: bool) -> None:
     started: list[subprocess.Popen[bytes]] = []

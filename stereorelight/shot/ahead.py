@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -100,21 +101,27 @@ def shares_of(stages: Sequence[str], cores: int) -> list[list[str]]:
     return [list(stages[k::count]) for k in range(count)]
 
 
+def helper(share: Sequence[str]) -> subprocess.Popen[bytes]:
+    """A process that goes through these stages, with the very modules of this one: a folder of the same name where it runs is none of them."""
+    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    paths = os.environ | {"PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+    return subprocess.Popen([sys.executable, "-P", "-m", __name__, *share], env=paths, **quiet)  # type: ignore[call-overload]
+
+
 @contextlib.contextmanager
 def compiling_ahead() -> Iterator[None]:
     """Other processes compile what is not yet compiled, until the block ends."""
     missing = [name for name, stage in STAGES.items() if not compiled(kernels_of(stage)[-1])]
-    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     helpers: list[subprocess.Popen[bytes]] = []
     try:
         with contextlib.suppress(OSError):  # no such help, no harm
             for share in shares_of(missing, usable_cores()):
-                helpers.append(subprocess.Popen([sys.executable, "-m", __name__, *share], **quiet))  # type: ignore[call-overload]
+                helpers.append(helper(share))
         yield
     finally:
-        for helper in helpers:
-            helper.terminate()
-            helper.wait()
+        for process in helpers:
+            process.terminate()
+            process.wait()
 
 
 if __name__ == "__main__":
