@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -15,6 +16,7 @@ from stereorelight.shot import ahead
 
 # What a process of its own compiled or loaded, kernel by kernel; in this one, other tests' kernels would be among them.
 SIGNATURES = """
+import contextlib
 import json
 from stereorelight.shot import ahead
 {work}
@@ -110,7 +112,7 @@ def test_helpers_end_with_the_block(monkeypatch: pytest.MonkeyPatch, fails: bool
     monkeypatch.setattr(ahead, "compiled", lambda kernel: False)
     monkeypatch.setattr(ahead, "usable_cores", lambda: 3)
     monkeypatch.setattr(subprocess, "Popen", sleeper)
-    with pytest.raises(KeyError) if fails else ahead.contextlib.nullcontext(), ahead.compiling_ahead():
+    with pytest.raises(KeyError) if fails else contextlib.nullcontext(), ahead.compiling_ahead():
         assert len(started) == 2
         assert all(helper.poll() is None for helper in started)
         if fails:
