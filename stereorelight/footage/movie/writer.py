@@ -40,6 +40,7 @@ PRIMARIES, SPACE, VIDEO_RANGE, PROGRESSIVE = 1, 1, 1, 1  # ITU-T H.273 code poin
 TRANSFERS: Mapping[str, int] = MappingProxyType({"sRGB": 13, "bt709": 1})  # H.273 code points
 THREADS = 4  # x264's bytes depend on this number, so that it is not the machine's
 KEY_FRAMES_S = 0.5  # at most so far apart, so that a review movie can be scrubbed
+UNTIMED = 2  # x265 times decoding by the third frame; of fewer, it leaves what memory held (its issue 781)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -288,7 +289,10 @@ class MovieWriter:
         if self.frames == 0:
             raise OutputError(f"{self.path}: no frame was written, and a movie needs one; check the frame range")
         try:
-            self._container.mux(self._stream.encode(None))
+            packets = self._stream.encode(None)
+            if self._kind.encoder == "libx265" and self.frames <= UNTIMED:
+                _time_decoding(packets)
+            self._container.mux(packets)
             self._container.close()
         except Exception as error:
             raise self._told(error) from error
@@ -319,3 +323,11 @@ class MovieWriter:
         return OutputError(
             f"{self.path}: FFmpeg's {self._kind.encoder} refuses {w} x {h} at {self.rate} frames a second ({reason}); take another codec or size"
         )
+
+
+def _time_decoding(packets: list[Any]) -> None:
+    """Decode `packets`, all of a movie, one after another, and each no later than it is shown."""
+    times = sorted(packet.pts for packet in packets)
+    late = max(time - packet.pts for time, packet in zip(times, packets, strict=True))
+    for time, packet in zip(times, packets, strict=True):
+        packet.dts = time - late
