@@ -27,13 +27,12 @@ def per_root(a):
     return f4(1) / math.sqrt(a)
 
 
-@kernel(noalias=True)
-def roots_of_one(one, root):
-    """What this processor takes 1 / sqrt(1) for: `phong` and `lambert` leave roots to its guess and a step of Newton, a bit or two off.
+@kernel(forceinline=True, fastmath={"contract"})
+def once_more(a, r):
+    """1 / sqrt(a) from r, what the processor guesses quickly, a bit or two off; Newton's step squares that, and a root of 1 is exactly 1.
 
-    one, root : (VECTOR,), ones, and what comes of them in the same vector code."""
-    for i in range(one.shape[0]):
-        root[i] = f4(1) / math.sqrt(one[i])
+    Without leave to reorder, or the compiler would know that there is nothing to correct."""
+    return r - f4(0.5) * r * (a * r * r - f4(1))
 
 
 @kernel(inline="always")
@@ -137,14 +136,14 @@ def through_cone(n, lx, ly, lz, ex, ey, ez, edge, per_angle, px, py, pz, lit):
 
 
 @kernel(noalias=True)
-def lambert(n, unit, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, lit, e):
+def lambert(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, lit, e):
     for i in range(n):
         a = lx - w * px[i]
         b = ly - w * py[i]
         c = lz - w * pz[i]
         d2 = a * a + b * b + c * c
         d2 = NEAREST2 if d2 < NEAREST2 else d2
-        r = unit / math.sqrt(d2)
+        r = once_more(d2, f4(1) / math.sqrt(d2))
         nl = (nx[i] * a + ny[i] * b + nz[i] * c) * r
         k = nl * ws + wo
         k = k if k > f4(0) else f4(0)
@@ -152,10 +151,9 @@ def lambert(n, unit, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, 
 
 
 @kernel(noalias=True)
-def phong(n, unit, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, vx, vy, vz, lit, e, h, front):
+def phong(n, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, vx, vy, vz, lit, e, h, front):
     """Lambert, and for the highlight 1 - R.V and the strength in front of the surface.
 
-    unit : by which a root of 1 becomes exactly 1, see `roots_of_one`.
     1 - R.V comes from the chord |R - V|: near the highlight R.V itself has lost its last digits."""
     for i in range(n):
         a = lx - w * px[i]
@@ -163,7 +161,7 @@ def phong(n, unit, lx, ly, lz, w, ws, wo, a0, a1, a2, px, py, pz, nx, ny, nz, vx
         c = lz - w * pz[i]
         d2 = a * a + b * b + c * c
         d2 = NEAREST2 if d2 < NEAREST2 else d2
-        r = unit / math.sqrt(d2)
+        r = once_more(d2, f4(1) / math.sqrt(d2))
         a = a * r
         b = b * r
         c = c * r

@@ -46,12 +46,12 @@ from stereorelight.engine.light_table import (
     WRAP_OFFSET,
     WRAP_SCALE,
 )
-from stereorelight.engine.plain_lights import least_base, phong_light, reach, surface, unit_of
+from stereorelight.engine.plain_lights import least_base, phong_light, reach, surface
 from stereorelight.engine.stream import stream, streamed
 
 # As in light_rows.py: this file must change whenever these do.
-LEAVES = "98543cc027d8cdb4"
-PLAIN = "7d2655156b527a20"
+LEAVES = "5c7408416fe452bd"
+PLAIN = "fdb0837dc7b96846"
 TABLE = "909ff10c55dd6268"
 LOBE_LEAVES = "ece0089b1381920f"
 BALL_LEAVES = "c068e0fd0c4c72b2"
@@ -75,7 +75,6 @@ def other_lights(
     h, front = T[19], T[20]
     ax_, ay_, az_, tx2, ty2 = T[21], T[22], T[23], T[24], T[25]
     tail = np.zeros((3, 3 * VECTOR), np.float32)
-    unit = unit_of(tail)
     columns = leaf.pinhole_columns(W + VECTOR, fx, cx)
     px, py, pz, nx, ny, nz, vx, vy, vz, known = T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8], T[9]
     lit, e, s, dr, dg, db, sr, sg, sb = T[10], T[11], T[12], T[13], T[14], T[15], T[16], T[17], T[18]
@@ -136,10 +135,10 @@ def other_lights(
                             px, py, pz, nx, ny, nz, vx, vy, vz, lit, ax_, ay_, az_, tx2, s, at, T[AREA_ROWS:],
                         )  # fmt: skip
                 elif shines:
-                    phong_light(n, unit, q, least_base(q[EXPONENT]), px, py, pz, nx, ny, nz, vx, vy, vz, lit, e, h, front, s)
+                    phong_light(n, q, least_base(q[EXPONENT]), px, py, pz, nx, ny, nz, vx, vy, vz, lit, e, h, front, s)
                 else:
                     leaf.lambert(
-                        n, unit, q[0], q[1], q[2], q[3], q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE],
+                        n, q[0], q[1], q[2], q[3], q[WRAP_SCALE], q[WRAP_OFFSET], q[FALL_NONE], q[FALL_LINEAR], q[FALL_SQUARE],
                         px, py, pz, nx, ny, nz, lit, e,
                     )  # fmt: skip
                 if to_beauty:
