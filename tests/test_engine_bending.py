@@ -114,6 +114,22 @@ def test_an_edge_binds_nothing() -> None:
     assert np.median(slope_y) == pytest.approx(0.02, abs=2e-3)
 
 
+@pytest.mark.parametrize("step", [3, 6, 12, 40])
+@pytest.mark.parametrize("finest", [0, 1])
+def test_ground_that_nobody_sees_is_not_moved_by_what_hides_it(step: int, finest: int) -> None:
+    """A disc in front is 0.3 px off, the wall is right, and of the ring of wall beside the disc hardly anything is known."""
+    y, x = np.mgrid[:160, :240].astype(f4)
+    from_disc = np.hypot(x - 120, y - 80) - 40
+    disc, ring = from_disc < 0, (from_disc >= 0) & (from_disc < 12)
+    d = np.where(disc, f4(20 + step), f4(20))
+    weight = np.where(ring, f4(0.01), f4(100))
+    bend = np.full_like(d, 0.004)
+    moved = plate_correction(d, weight, weight * np.where(disc, f4(0.3), f4(0)), bend, cut=0.065, steps=4, finest=finest)
+    assert np.abs(moved[ring]).mean() < 0.02
+    assert np.abs(moved[~disc & ~ring]).max() < 0.03
+    assert np.median(moved[disc]) == pytest.approx(0.3, abs=0.01)
+
+
 def test_slopes_of_a_plane_hold_to_the_border() -> None:
     slope_x, slope_y = slopes(3 + f4(0.25) * X - f4(0.5) * Y, cut=0.15)
     assert np.abs(slope_x - 0.25).max() < 1e-4

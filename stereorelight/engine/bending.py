@@ -21,6 +21,7 @@ from stereorelight.engine.pyramid import block_rows, carry, double, halve
 from stereorelight.engine.turns import shared, together, turns_of
 
 f4 = np.float32
+STEP = 6  # cuts: disparities side by side that differ by more are of two surfaces
 LOOSER = 4  # how much larger a bend may be on a coarse grid before it counts as an edge: bends grow by 4 a level, steps do not
 
 
@@ -334,7 +335,7 @@ def _correct(turns, dots, sizes, d, weight, pull, bend, stiff, out, coarse, work
                 _sum_rows(begin, end, solved, moved, surface)
             step += 1
             for begin, end in shared(turns, step, size[1], rows):
-                carry(begin, end, surface, moved, here, cut, u)
+                carry(begin, end, surface, moved, here, cut, f4(STEP) * cut * f4(min(2**level, LOOSER)), u)
             step += 1
         if level >= finest:
             of_level = _of_level(pull, coarse[2], size), _of_level(weight, coarse[1], size), _of_level(stiff, coarse[3], size)

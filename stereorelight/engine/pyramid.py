@@ -108,17 +108,49 @@ def doubled(a: Float32, shape: tuple[int, int], *, surface: bool = False) -> Flo
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _start_row(surface, correction, d, apart, out):
-    for x in range(d.size):
-        smooth = surface[x] - d[x]
-        out[x] = smooth if abs(smooth - correction[x]) < apart else correction[x]
+def _ends(d, y, x):
+    """The least and the most of the four pixels of a coarse cell."""
+    bottom, right = min(2 * y + 1, d.shape[0] - 1), min(2 * x + 1, d.shape[1] - 1)
+    a, b, c, e = d[2 * y, 2 * x], d[2 * y, right], d[bottom, 2 * x], d[bottom, right]
+    return min(min(a, b), min(c, e)), max(max(a, b), max(c, e))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def carry(begin, end, surface, correction, d, apart, out):
-    """Where to start on a finer grid: the coarse `surface` itself where it is this pixel's surface, else its `correction`."""
+def _of_its_ground(correction, d, y, x, step, otherwise):
+    """The correction at pixel (y, x) from those of the four coarse cells about it that hold its ground alone, where another holds
+    something nearer by `step` px or more; `otherwise` where none does, or none is its ground's."""
+    h, w = correction.shape
+    here, hidden, total, share = d[y, x], False, f4(0), f4(0)
+    i, j = y // 2, x // 2
+    for cy, down in ((i, f4(3)), (i + 1 if y % 2 else i - 1, f4(1))):
+        for cx, across in ((j, f4(3)), (j + 1 if x % 2 else j - 1, f4(1))):
+            if not (0 <= cy < h and 0 <= cx < w):
+                continue
+            least, most = _ends(d, cy, cx)
+            if most >= here + step:
+                hidden = True
+            elif least > here - step:
+                total += down * across * correction[cy, cx]
+                share += down * across
+    return total / share if hidden and share > f4(0) else otherwise
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _start_row(surface, correction, coarse, d, y, apart, step, out):
+    for x in range(out.size):
+        smooth = surface[x] - d[y, x]
+        out[x] = smooth if abs(smooth - correction[x]) < apart else _of_its_ground(coarse, d, y, x, step, correction[x])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def carry(begin, end, surface, correction, d, apart, step, out):
+    """Where to start on a finer grid: the coarse `surface` itself where it is this pixel's surface, else its `correction`.
+
+    Ground beside what is nearer by `step` px or more takes its own ground's: what pulls at the near thing would bend it.  The near thing
+    takes the mean of all: surfaces fall away towards their outlines, and it is nearer there than the plate would have it.
+    """
     smooth, moved = np.empty(d.shape[1], np.float32), np.empty(d.shape[1], np.float32)
     for y in range(begin, end):
         _doubled_row(surface, y, f4(1), smooth)
         _doubled_row(correction, y, f4(0), moved)
-        _start_row(smooth, moved, d[y], apart, out[y])
+        _start_row(smooth, moved, correction, d, y, apart, step, out[y])
