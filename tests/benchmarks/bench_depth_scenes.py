@@ -132,7 +132,7 @@ def memory_of(quality: str, size: tuple[int, int]) -> None:
     w, h = size
     rng = np.random.default_rng(0)
     wide = cv2.GaussianBlur(rng.random((h, w + w // 10, 3)).astype(np.float32), (0, 0), 1.2)
-    left, right = np.ascontiguousarray(wide[:, w // 10 :]), np.ascontiguousarray(wide[:, w // 10 - w // 32 : w + w // 10 - w // 32])
+    left, right = np.ascontiguousarray(wide[:, w // 10 - w // 32 : w + w // 10 - w // 32]), np.ascontiguousarray(wide[:, w // 10 :])
     recover(left, right, rectification(parallel_rig(size)), settings=DepthSettings(quality=quality, near_m=0.9, far_m=4.0))
     print(f"memory {w}x{h} {quality:9s} {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:6.0f} MiB", flush=True)
 
