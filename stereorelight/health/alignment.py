@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stereorelight.arrays import Float32, Float64
+from stereorelight.engine.strips import strip_votes
 
 LEAST_MATCHES = 60  # to put the rows of the two pictures in step
 STRIP_WIDTH_PX = 480  # the occlusion cue works on plates of this width
-LEAST_STEP_PX = 3.0
 STRIPS_SURE = 60  # strips that must speak
 STRIPS_SHARE = 0.65
 
@@ -95,32 +95,7 @@ def _disparities(a: npt.NDArray[np.uint8], b: npt.NDArray[np.uint8], low: int, c
 
 def _votes(picture: npt.NDArray[np.uint8], disparity: Float32) -> tuple[int, int]:
     """Strips of unmatched pixels between two surfaces that look like the lower disparity, and like the higher one."""
-    behind = before = 0
-    colour = cv2.GaussianBlur(picture, (0, 0), 0.7).astype(np.float64)
-    known = np.isfinite(disparity)
-    width = disparity.shape[1]
-    for y in range(disparity.shape[0]):
-        edges = np.flatnonzero(np.diff(known[y].astype(np.int8)))
-        for start, end in zip(edges[:-1] + 1, edges[1:] + 1):  # unknown from start to end
-            n = int(end - start)
-            if known[y, start] or n < 3 or start < n + 2 or end > width - n - 2:
-                continue
-            first, second = disparity[y, max(start - 4, 0) : start], disparity[y, end : end + 4]
-            first, second = first[np.isfinite(first)], second[np.isfinite(second)]
-            if not len(first) or not len(second):
-                continue
-            step = float(np.median(second) - np.median(first))
-            # The left eye's strip is as wide as the step, and the larger disparity lies on its right.
-            if step < LEAST_STEP_PX or not 0.6 * step - 1 <= n <= 1.5 * step + 2:
-                continue
-            strip = colour[y, start + 1 : end - 1].mean(axis=0)
-            low, high = colour[y, start - n : start].mean(axis=0), colour[y, end : end + n].mean(axis=0)
-            to_low, to_high = np.abs(strip - low).sum(), np.abs(strip - high).sum()
-            if max(to_low, to_high) < 2 * min(to_low, to_high) + 6:  # of 765: it looks like both, or like neither
-                continue
-            behind += int(to_low < to_high)
-            before += int(to_high < to_low)
-    return behind, before
+    return strip_votes(cv2.GaussianBlur(picture, (0, 0), 0.7), disparity, np.ones(disparity.shape, np.bool_))
 
 
 def occlusion_votes(left: Float32, right: Float32, left_px: Float64, right_px: Float64) -> Strips:

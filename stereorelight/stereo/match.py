@@ -17,18 +17,21 @@ from stereorelight.camera import RectifiedRig
 from stereorelight.engine.occlusion import beside, completed, consistent
 from stereorelight.engine.rows import at_once
 from stereorelight.engine.sixteenths import NOWHERE, as_pixels, coded, kept
+from stereorelight.engine.strips import LEAST_PX
 from stereorelight.engine.support import supported
 from stereorelight.errors import PlateError
 from stereorelight.stereo.halves import half_proxy, nearest
 from stereorelight.stereo.median import median_5
+from stereorelight.stereo.order import BEHIND_LIMIT, BEHIND_PX, RIG_TELLS, behind_rig, votes
 from stereorelight.stereo.plains import carried_on
 from stereorelight.stereo.proxy import CALM, Proxy, grey_of
 from stereorelight.stereo.rims import on_rims
 
 COARSE_WIDTH = 160  # pixels of the picture in which the range is looked for
+STRIPS_WIDTH = 320  # and of that in which half-hidden strips are, where the range does not tell which eye is which
 COARSE_REACH = 0.6  # of the frame's width: no disparity beyond it is looked for without a near_m
+STRIPS_MARGIN_PX = 2.0  # beyond what the coarse matches hold, px of the finer copy
 TAIL = 0.002  # share of believed matches at either end that does not widen the range
-BEHIND_LIMIT = 0.6  # share of believed matches behind the rig at which the eyes must be swapped
 TEXTURE = 1.0  # grey levels a pixel: ground plainer than this proves nothing
 FEWEST_MATCHES = 0.2  # share of textured ground that both eyes must confirm; noise against noise gives less than a tenth
 BLOCK = 3
@@ -234,10 +237,10 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     return Match(left=left, right=right, dense=everywhere(left), calm=calm.left, on_rims=mended)
 
 
-def _coarse(proxy: Proxy) -> tuple[Proxy, float]:
+def _coarse(proxy: Proxy, wide_px: int = COARSE_WIDTH) -> tuple[Proxy, float]:
     """A small grey copy, and its scale."""
     height, width = proxy.left_grey.shape
-    scale = min(1.0, COARSE_WIDTH / width)
+    scale = min(1.0, wide_px / width)
     size = (max(16, round(width * scale)), max(16, round(height * scale)))
 
     def small(a: Float32) -> Float32:
@@ -270,17 +273,42 @@ def coarse_disparity(proxy: Proxy, search: DisparityRange) -> Float32:
     return cv2.resize(seen.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
 
 
+def _refuse_swapped(proxy: Proxy, coarse: Proxy, eyes: tuple[Float32, Float32], believed: Bool, infinity: float) -> None:
+    """Raise PlateError where the left plate is the right eye's: by the matches of a coarse copy, and where they and its half-hidden strips leave
+    it open by the strips of a finer one.
+
+    eyes : each eye's own disparity on `coarse`, of which those of the left one are `believed`.     infinity : px of it.
+    """
+    remedy = "exchange them ([plates] swap_eyes in a shot file), or the eyes in the rig"
+    d = eyes[0][believed]
+    behind, exchanged = behind_rig(d, infinity)
+    if behind > BEHIND_LIMIT:
+        raise PlateError(f"{100 * behind:.0f} % of the matches lie behind the rig: left and right plates look swapped; {remedy}")
+    if exchanged > behind + RIG_TELLS or votes(proxy, coarse, *eyes).right:
+        return
+    fine, _ = _coarse(proxy, STRIPS_WIDTH)
+    finer = fine.left.shape[1] / coarse.left.shape[1]
+    low, high = (float(q) * finer for q in np.quantile(d, (TAIL, 1 - TAIL)))
+    if high - low < LEAST_PX:  # no room for a strip
+        return
+    told = votes(proxy, fine, *both_eyes(fine, DisparityRange.holding(low - STRIPS_MARGIN_PX, high + STRIPS_MARGIN_PX)))
+    if told.swapped:
+        before, total = sum(told.before), sum(told.before) + sum(told.behind)
+        raise PlateError(
+            f"left and right plates look swapped: {before} of {total} strips that one eye alone sees look like what stands before them; {remedy}"
+        )
+
+
 def search_range(proxy: Proxy, rig: RectifiedRig, *, near_m: float | None = None, far_m: float | None = None) -> DisparityRange:
     """Which disparities to search: from near and far where given, else from the pictures themselves.
 
     A small copy is matched over everything that the frame allows; the range holds all but the last 0.2 % of the matches
     that both eyes confirm on textured ground, with a margin.
-    Raises : PlateError when most matches lie behind the rig (eyes swapped) or there is nothing to match.
+    Raises : PlateError when the eyes look swapped or, where the pictures decide, there is nothing to match.
     """
     low = None if far_m is None else float(rig.disparity_from_depth(far_m)) - 1
     high = None if near_m is None else float(rig.disparity_from_depth(near_m)) + 1
-    if low is not None and high is not None:
-        return DisparityRange.holding(low, high)
+    given = None if low is None or high is None else DisparityRange.holding(low, high)
     coarse, scale = _coarse(proxy)
     width = coarse.left.shape[1]
     infinity = -rig.doffs_px * scale
@@ -291,13 +319,13 @@ def search_range(proxy: Proxy, rig: RectifiedRig, *, near_m: float | None = None
     believed = consistent(found, other, within_px=0.75) & textured
     d = found[believed]
     if d.size < max(FEWEST_MATCHES * textured.sum(), 50):
+        if given is not None:
+            return given
         raise PlateError("left and right plates hardly match anywhere; are they swapped, of another moment, or of another rig?")
-    behind = float(np.mean(d < infinity - 1.5))
-    if behind > BEHIND_LIMIT:
-        raise PlateError(
-            f"{100 * behind:.0f} % of the matches lie behind the rig: left and right plates look swapped; exchange them, or the eyes in the rig"
-        )
-    d = d[d >= infinity - 1.5]
+    _refuse_swapped(proxy, coarse, (found, other), believed, infinity)
+    if given is not None:
+        return given
+    d = d[d >= infinity - BEHIND_PX]
     lowest, highest = np.quantile(d, (TAIL, 1 - TAIL))
     margin = 0.75 + 0.03 * (highest - lowest)
     if low is None:
