@@ -295,7 +295,8 @@ def _refuse_swapped(proxy: Proxy, coarse: Proxy, eyes: tuple[Float32, Float32], 
     if told.swapped:
         before, total = sum(told.before), sum(told.before) + sum(told.behind)
         raise PlateError(
-            f"left and right plates look swapped: {before} of {total} strips that one eye alone sees look like what stands before them; {remedy}"
+            f"left and right plates look swapped: {before} of {total} strips that one eye alone sees look like what stands before them; {remedy}; "
+            "if they are right, give near_m and far_m"
         )
 
 
@@ -304,11 +305,13 @@ def search_range(proxy: Proxy, rig: RectifiedRig, *, near_m: float | None = None
 
     A small copy is matched over everything that the frame allows; the range holds all but the last 0.2 % of the matches
     that both eyes confirm on textured ground, with a margin.
-    Raises : PlateError when the eyes look swapped or, where the pictures decide, there is nothing to match.
+    With both near and far given nothing is judged.
+    Raises : PlateError when the eyes look swapped or there is nothing to match.
     """
     low = None if far_m is None else float(rig.disparity_from_depth(far_m)) - 1
     high = None if near_m is None else float(rig.disparity_from_depth(near_m)) + 1
-    given = None if low is None or high is None else DisparityRange.holding(low, high)
+    if low is not None and high is not None:
+        return DisparityRange.holding(low, high)
     coarse, scale = _coarse(proxy)
     width = coarse.left.shape[1]
     infinity = -rig.doffs_px * scale
@@ -319,12 +322,8 @@ def search_range(proxy: Proxy, rig: RectifiedRig, *, near_m: float | None = None
     believed = consistent(found, other, within_px=0.75) & textured
     d = found[believed]
     if d.size < max(FEWEST_MATCHES * textured.sum(), 50):
-        if given is not None:
-            return given
         raise PlateError("left and right plates hardly match anywhere; are they swapped, of another moment, or of another rig?")
     _refuse_swapped(proxy, coarse, (found, other), believed, infinity)
-    if given is not None:
-        return given
     d = d[d >= infinity - BEHIND_PX]
     lowest, highest = np.quantile(d, (TAIL, 1 - TAIL))
     margin = 0.75 + 0.03 * (highest - lowest)
