@@ -107,16 +107,17 @@ def test_moved_into_another_light_recovered_normals(a: str, b: str) -> None:
     assert moved_error(recovered(a), a, b, 480) < RECOVERED_RMS
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_plate_without_shading_is_said_to_have_none(seed: int) -> None:
+@pytest.mark.parametrize("seed", [None, 1, 2])
+def test_a_plate_without_shading_is_said_to_have_none(seed: int | None) -> None:
+    """The bust's own plate, and two of random albedo."""
     lit = bust_under("even")
-    for plate in (lit.frame["plate"], 0.6 * random_albedo(lit.subject.shape, seed)):
-        light = estimated(exact("even", plate), matte=lit.subject.astype(np.float32), albedo_level=0.4)
-        assert not light.told
-        assert light.towards is None
-        assert "none told" in light.words
-        even = albedo_of(plate, light, lit.frame["N"], lit.frame["P"])
-        np.testing.assert_allclose(even * light.level, plate, rtol=1e-5)
+    plate = lit.frame["plate"] if seed is None else 0.6 * random_albedo(lit.subject.shape, seed)
+    light = estimated(exact("even", plate), matte=lit.subject.astype(np.float32), albedo_level=0.4)
+    assert not light.told
+    assert light.towards is None
+    assert "none told" in light.words
+    even = albedo_of(plate, light, lit.frame["N"], lit.frame["P"])
+    np.testing.assert_allclose(even * light.level, plate, rtol=1e-5)
 
 
 def test_a_flat_wall_tells_nothing_and_neither_does_a_black_or_empty_plate() -> None:
