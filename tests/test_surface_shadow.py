@@ -26,6 +26,7 @@ from stereorelight.surface.visibility import ShadowScene
 from stereorelight.synth.lights import Light
 from stereorelight.synth.render import FLIP, render
 from stereorelight.synth.rigs import parallel_rig
+from stereorelight.synth.scene import Tables
 from stereorelight.synth.scenes import scene_named
 
 SIZE = (480, 270)
@@ -34,23 +35,31 @@ KEY = Light(name="key", position_m=(-0.8, 0.9, 0.2))
 
 
 @cache
-def truth(name: str, light: Light, size: tuple[int, int] = SIZE) -> tuple[ShadowScene, np.ndarray, np.ndarray]:
-    """The exact surface, which of its pixels face the light, and which of those it reaches past the whole scene."""
+def exact_surface(name: str, size: tuple[int, int]) -> tuple[Tables, np.ndarray, np.ndarray, ShadowScene]:
+    """A scene's tables, the points and normals that a camera's pixels meet, (n, 3), and the exact surface; whatever the light."""
     camera = Camera.from_fov(40, size)
     tables = scene_named(name).tables()
     ways = camera.rays(camera.pixel_grid().reshape(-1, 2)) @ FLIP
-    t, hit = raycast.first_hits(tables.objects, tables.primitives, np.zeros((1, 3)), ways)
+    t, hit = raycast.first_hits(tables.objects, tables.primitives, np.zeros((1, 3)), ways, empty=tables.empty)
     points = t[:, None] * ways
     normals = raycast.surface_at(tables.objects, tables.primitives, tables.materials, points, hit)[0]
+    shape = camera.size_hw
+    Z = t.reshape(shape).astype(np.float32)
+    scene = ShadowScene(Z=Z, N=normals.reshape(*shape, 3).astype(np.float32), camera=camera, open=np.isnan(Z))
+    return tables, points, normals, scene
+
+
+@cache
+def truth(name: str, light: Light, size: tuple[int, int] = SIZE) -> tuple[ShadowScene, np.ndarray, np.ndarray]:
+    """The exact surface, which of its pixels face the light, and which of those it reaches past the whole scene."""
+    tables, points, normals, scene = exact_surface(name, size)
     starts = np.broadcast_to(light.ray_starts(points), points.shape)
     along = points - starts
     with np.errstate(invalid="ignore"):
         facing = (normals * along).sum(axis=-1) < 0
         limits = np.where(facing, 1 - SELF_M / np.linalg.norm(along, axis=-1), 0)
-    lit = facing & ~raycast.blocked(tables.objects, tables.primitives, starts, along, limits)
-    shape = camera.size_hw
-    Z = t.reshape(shape).astype(np.float32)
-    scene = ShadowScene(Z=Z, N=normals.reshape(*shape, 3).astype(np.float32), camera=camera, open=np.isnan(Z))
+    lit = facing & ~raycast.blocked(tables.objects, tables.primitives, starts, along, limits, empty=tables.empty)
+    shape = scene.camera.size_hw
     return scene, facing.reshape(shape), lit.reshape(shape)
 
 
@@ -382,7 +391,7 @@ def test_ambient_occlusion_and_bent_normals_against_traced_truth(name: str) -> N
     for at in spread(count):
         disc = on_disc((at + shift) % 1)
         ways = disc[:, :1] * u + disc[:, 1:] * v + np.sqrt(np.maximum(1 - (disc**2).sum(-1), 0))[:, None] * N
-        t, hit = raycast.first_hits(tables.objects, tables.primitives, P + 1e-5 * N, ways, limits=np.full(len(P), radius))
+        t, hit = raycast.first_hits(tables.objects, tables.primitives, P + 1e-5 * N, ways, limits=np.full(len(P), radius), empty=tables.empty)
         blocked = np.where(hit >= 0, 1 - t / radius, 0.0)
         lost += blocked
         way += blocked[:, None] * ways

@@ -194,11 +194,14 @@ def render(
     frames: dict[Eye, Frame] = {}
     objects: dict[Eye, npt.NDArray[np.int16]] = {}
     eyes: tuple[Eye, Eye] = ("left", "right")
+    told_of: Scene | None = None  # both eyes see one moment, as a rule: what its tables know of empty space is slow to find
     for eye in eyes:
         stage, stand = seen[eye]
+        if stage is not told_of:
+            tables, told_of = stage.tables(), stage
         other = seen["right" if eye == "left" else "left"][1]
         lit_by = stage.lights if lights is None else shining
-        passes, objects[eye] = _render_eye(stage.tables(), stand, other, eye, lit_by, stage.ambient, samples, shadows, bounce)
+        passes, objects[eye] = _render_eye(tables, stand, other, eye, lit_by, stage.ambient, samples, shadows, bounce)
         if noise_sigma > 0:
             grain = np.random.Generator(np.random.Philox(key=[frame, int(eye == "right")])).standard_normal(passes["plate"].shape)
             passes["plate"] = (passes["plate"] + noise_sigma * grain).astype(np.float32)
