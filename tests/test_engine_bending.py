@@ -114,7 +114,7 @@ def test_an_edge_binds_nothing() -> None:
     assert np.median(slope_y) == pytest.approx(0.02, abs=2e-3)
 
 
-@pytest.mark.parametrize("step", [12, 40])
+@pytest.mark.parametrize("step", [3, 6, 12, 40])
 @pytest.mark.parametrize("finest", [0, 1])
 def test_ground_that_nobody_sees_is_not_moved_by_what_hides_it(step: int, finest: int) -> None:
     """A disc in front is 0.3 px off, the wall is right, and of the ring of wall beside the disc hardly anything is known."""

@@ -135,7 +135,7 @@ def test_what_cannot_be_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("scene", "defocus_px", "seed"), [("bust", 4.0, 7), ("bust", 2.0, 1), ("bust", 6.0, 2), ("statue", 4.0, 3)])
 def test_hair_and_defocus_are_relit_nearly_as_well_as_the_inside(scene: str, defocus_px: float, seed: int, tmp_path: Path) -> None:
     """Figures with strands of hair, out of focus, their depth recovered from both plates, moved under another light: RMS error against the
-    render within 4 px of the outline at most 1.5 times that inside, whatever `edge_px` within reason.  Without parting the sides at most 2.5
+    render within 4 px of the outline at most 1.5 times that inside, whatever `edge_px` within reason.  Without parting the sides at most 2.3
     times; and what is more than inside is twice as much as with it, but for the statue: before its plain wall depth alone does as well."""
     made = hairy_bust(scene=scene, defocus_px=defocus_px, seed=seed)
     depth = recover(made.left, made.right, rectification(made.rig)).frame
@@ -157,7 +157,7 @@ def test_hair_and_defocus_are_relit_nearly_as_well_as_the_inside(scene: str, def
         edge, inside = errors('edges = "actor"\n' + edge_px)
         assert edge < most * inside, edge_px
         assert inside < 1.05 * plain_inside
-    assert plain_edge < 2.5 * plain_inside
+    assert plain_edge < 2.3 * plain_inside
     if scene == "bust":
         assert plain_edge - inside > 2 * (edge - inside)
     else:

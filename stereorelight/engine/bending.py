@@ -21,7 +21,7 @@ from stereorelight.engine.pyramid import block_rows, carry, double, halve
 from stereorelight.engine.turns import shared, together, turns_of
 
 f4 = np.float32
-STEP = 24  # cuts: disparities side by side that differ by more are of two surfaces
+STEP = 6  # cuts: disparities side by side that differ by more are of two surfaces
 LOOSER = 4  # how much larger a bend may be on a coarse grid before it counts as an edge: bends grow by 4 a level, steps do not
 
 
