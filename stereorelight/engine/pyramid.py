@@ -127,9 +127,11 @@ def _of_its_ground(correction, d, y, x, step, otherwise):
             if not (0 <= cy < h and 0 <= cx < w):
                 continue
             least, most = _ends(d, cy, cx)
+            if least <= here - step:
+                return otherwise
             if most >= here + step:
                 hidden = True
-            elif least > here - step:
+            else:
                 total += down * across * correction[cy, cx]
                 share += down * across
     return total / share if hidden and share > f4(0) else otherwise
