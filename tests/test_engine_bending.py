@@ -7,7 +7,7 @@ import pytest
 
 from stereorelight.engine.bending import plate_correction
 from stereorelight.engine.bends import bend_energies, bend_energy, slopes
-from stereorelight.engine.pyramid import SMALL, doubled, halved
+from stereorelight.engine.pyramid import SMALL, carry, doubled, halved
 from stereorelight.threads import set_threads, usable_cores
 
 f4 = np.float32
@@ -128,6 +128,23 @@ def test_ground_that_nobody_sees_is_not_moved_by_what_hides_it(step: int, finest
     assert np.abs(moved[ring]).mean() < 0.02
     assert np.abs(moved[~disc & ~ring]).max() < 0.03
     assert np.median(moved[disc]) == pytest.approx(0.3, abs=0.01)
+
+
+def test_whose_correction_each_side_of_an_outline_starts_from() -> None:
+    """A brow above, a cheek below it, a wall on the right.  Cheek under the brow keeps to its own; a rim before the wall takes the mean of
+    the four cells, 9 : 3 : 3 : 1, under the brow, too: in the corner two of them are brow, one cheek, one wall."""
+    brow, wall = slice(0, 4), slice(6, None)
+    d = np.full((16, 12), 20, f4)
+    d[:, wall], d[brow] = 10, 30
+    coarse = halved(d)
+    correction = np.where(coarse == 30, f4(1), np.where(coarse == 10, f4(-1), f4(0.5)))
+    out = np.empty_like(d)
+    carry(0, 16, coarse + correction, correction, d, f4(0.1), f4(2), out)
+    np.testing.assert_allclose(out[4, :5], 0.5)
+    np.testing.assert_allclose(out[4, 5], (9 * 0.5 + 3 * 1 + 3 * -1 + 1 * 1) / 16)
+    np.testing.assert_allclose(out[6:, 5], (3 * 0.5 - 1) / 4)
+    np.testing.assert_allclose(out[3, :5], (3 * 1 + 0.5) / 4)
+    np.testing.assert_allclose(out[4:, 6], -1)
 
 
 def test_slopes_of_a_plane_hold_to_the_border() -> None:

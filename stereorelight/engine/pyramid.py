@@ -118,7 +118,7 @@ def _ends(d, y, x):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _of_its_ground(correction, d, y, x, step, otherwise):
     """The correction at pixel (y, x) from those of the four coarse cells about it that hold its ground alone, where another holds
-    something nearer by `step` px or more; `otherwise` where none does, or none is its ground's."""
+    something nearer by `step` px or more; `otherwise` where none does, none is its ground's, or it stands before something itself."""
     h, w = correction.shape
     here, hidden, total, share = d[y, x], False, f4(0), f4(0)
     i, j = y // 2, x // 2
@@ -149,7 +149,8 @@ def carry(begin, end, surface, correction, d, apart, step, out):
     """Where to start on a finer grid: the coarse `surface` itself where it is this pixel's surface, else its `correction`.
 
     Ground beside what is nearer by `step` px or more takes its own ground's: what pulls at the near thing would bend it.  The near thing
-    takes the mean of all: surfaces fall away towards their outlines, and it is nearer there than the plate would have it.
+    takes the mean of all: surfaces fall away towards their outlines, and it is nearer there than the plate would have it.  So does what is
+    both, an ear between cheek and wall.
     """
     smooth, moved = np.empty(d.shape[1], np.float32), np.empty(d.shape[1], np.float32)
     for y in range(begin, end):
