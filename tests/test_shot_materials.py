@@ -124,7 +124,7 @@ def test_pieces_give_the_same_files(plain_ball: Path, tmp_path: Path, length: in
     (tmp_path / "shot.toml").write_text(text)
     for first in range(1001, 1008, length)[::-1]:
         run_shot(tmp_path / "shot.toml", frames=f"{first}-{min(first + length - 1, 1007)}")
-        if first > 1004:
+        if first == 1007:
             (tmp_path / "out" / "materials.json").unlink()  # whoever comes next finds the same
     whole = files(plain_ball / "out")
     assert len(whole) == 3 * 7
