@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numba import njit
 
@@ -91,28 +91,37 @@ seeds = st.integers(0, 2**31)
 quick = settings(max_examples=40, deadline=None)
 
 
-def without_cone(light: Light) -> Light:
-    """A spot as the point light that it is without its cone."""
-    if not isinstance(light, SpotLight):
-        return light
-    return PointLight(**{f.name: getattr(light, f.name) for f in dataclasses.fields(PointLight)})
+def without_end(light: Light) -> Light:
+    """A spot as the point light that it is without its cone, and a light that ends at its radius as one that never does."""
+    if isinstance(light, SpotLight):
+        light = PointLight(**{f.name: getattr(light, f.name) for f in dataclasses.fields(PointLight)})
+    if isinstance(light, PointLight) and light.attenuation == "radius":
+        light = dataclasses.replace(light, attenuation="inverse_square", radius_m=None)
+    return light
 
 
 def total(layers: dict[str, Array]) -> Array:
     return np.sum([layer.astype(np.float64) for layer in layers.values()], axis=0)
 
 
+LAST_SLIVER = PointLight(
+    name="l0", color=(1.0, 0.0, 0.0), diffuse=0.0, specular=0.5, exponent=1.0, specular_tint=(1.0, 0.0, 0.0), normalised=False,
+    position_m=(-2.0, -0.625, 1.512), attenuation="radius", radius_m=2.594,
+)  # fmt: skip
+
+
 @quick
 @given(seed=seeds, lights=several)
+@example(seed=807, lights=[LAST_SLIVER])
 def test_kernel_agrees_with_the_reference(seed: int, lights: list[Light]) -> None:
     P, N, albedo = scene(seed)
     got = light_layers(P, N, albedo, lights)
     N64 = N.astype(np.float64)
     want = reference_layers(P.astype(np.float64), N64 / np.linalg.norm(N64, axis=-1, keepdims=True), albedo.astype(np.float64), lights)
     assert list(got) == list(want)
-    # Where the last sliver of a penumbra is all that anything sees, a layer's largest value says nothing of the light: a thousandth of
-    # what the light gives without its cone does.
-    bare = reference_layers(P.astype(np.float64), N64, albedo.astype(np.float64), [without_cone(light) for light in lights])
+    # Where the last sliver of a penumbra, or of a light that ends, is all that anything sees, a layer's largest value says nothing of the
+    # light: a thousandth of what it gives without an end does.
+    bare = reference_layers(P.astype(np.float64), N64, albedo.astype(np.float64), [without_end(light) for light in lights])
     for name, layer in want.items():
         largest = max(layer.max(), 1e-3 * bare[name].max())
         np.testing.assert_allclose(got[name], layer, atol=REFERENCE * largest + 1e-30, rtol=0, err_msg=name)
