@@ -39,20 +39,24 @@ def fresnel(c: Array, n: float) -> Array:
     return np.where(1 - (1 - c**2) / n**2 < 0, 1.0, (s + p) / 2)
 
 
+def ways(P: Array, N: Array, ior: float) -> tuple[Array, Array, Array, Array]:
+    """Cosine of incidence (H, W, 1), ways of the mirrored and of the bent ray (H, W, 3), and the square of the bent one's cosine."""
+    N, V = unit(N), unit(-P)
+    towards = np.where((N * V).sum(-1, keepdims=True) < 0, -N, N)
+    c = np.clip((towards * V).sum(-1, keepdims=True), 0, 1)
+    inside2 = 1 - (1 - c**2) / ior**2
+    return c, 2 * c * towards - V, (-V + c * towards) / ior - np.sqrt(np.maximum(inside2, 0)) * towards, inside2
+
+
 def reference_layers(
     P: Array, N: Array, albedo: Array, *, soft: Array, sharp: Array, rough: Array, blend: float, ior: float, mixed: bool, M: Array
 ) -> dict[str, Array]:
     """M: map from camera.  Strengths 1, tints white."""
-    N, V = unit(N), unit(-P)
-    towards = np.where((N * V).sum(-1, keepdims=True) < 0, -N, N)
-    c = np.clip((towards * V).sum(-1, keepdims=True), 0, 1)
+    c, R, T, inside2 = ways(P, N, ior)
     F = fresnel(c, ior) if mixed else np.ones_like(c)
-    R = 2 * c * towards - V
-    inside2 = 1 - (1 - c**2) / ior**2
-    T = (-V + c * towards) / ior - np.sqrt(np.maximum(inside2, 0)) * towards
     through = np.where(inside2 < 0, 0.0, 1 - F if mixed else 1.0)
 
     def seen(d: Array) -> Array:
         return look(sharp, d @ M.T) * (1 - blend) + look(rough, d @ M.T) * blend
 
-    return {"env_diffuse": albedo * look(soft, N @ M.T), "env_reflection": F * seen(R), "env_refraction": through * seen(T)}
+    return {"env_diffuse": albedo * look(soft, unit(N) @ M.T), "env_reflection": F * seen(R), "env_refraction": through * seen(T)}
