@@ -299,10 +299,11 @@ def test_a_hard_rig_costs_less_than_a_quarter() -> None:
         for case in ({}, {"quantised": False}, {"soft_px": 0.7}, {"soft_px": 0.7, "grain": 0.01}):
             got = recover(*plates(made, rectified, **case), rectified).frame
             assert np.isfinite(got["Z"]).all()
+            assert (np.abs(got["Z"] / made.left["Z"] - 1) > 0.2).mean() < 0.007  # no ground is filled from what was matched beyond a bent plate
             medians[name, *case] = np.median(np.abs(got["Z"] - made.left["Z"])[seen])
     assert medians["parallel",] < 0.0018
     assert medians["hard",] <= 1.25 * medians["parallel",]
     assert medians["parallel", "quantised"] < 0.0008
-    assert medians["hard", "quantised"] < 0.0014
+    assert medians["hard", "quantised"] < 0.001
     assert medians["hard", "soft_px"] <= 1.25 * medians["parallel", "soft_px"] < 0.0028
     assert medians["hard", "soft_px", "grain"] <= 1.25 * medians["parallel", "soft_px", "grain"] < 0.01

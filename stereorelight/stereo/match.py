@@ -106,11 +106,14 @@ def _raw(matcher: Any, picture: UInt8, other: UInt8, *, before: int, after: int)
 
 
 def everywhere(disparity: Float32) -> Float32:
-    """`disparity` with the background's value where it has none."""
+    """`disparity` with the background's value where it has none; a row that has none at all takes those of the nearest row that has."""
     known: Bool = np.isfinite(disparity)
     if known.all() or not known.any():
         return disparity
-    return completed(disparity, median_5(beside(disparity)))
+    ground, rows = beside(disparity), np.flatnonzero(known.any(axis=1))
+    if rows.size < len(ground):
+        ground = ground[rows[np.abs(np.arange(len(ground))[:, None] - rows).argmin(axis=1)]]
+    return completed(disparity, median_5(ground))
 
 
 def _matcher(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, stiffness: float = 1.0, jump: int = P2) -> cv2.StereoSGBM:
@@ -136,6 +139,15 @@ def semi_global(proxy: Proxy, search: DisparityRange) -> Match:
     """`both_eyes` as a `Match`."""
     left, right = both_eyes(proxy, search)
     return Match(left=left, right=right, dense=everywhere(left))
+
+
+def on_plates(left: Float32, right: Float32, proxy: Proxy) -> tuple[Float32, Float32]:
+    """Each eye's disparity, NaN beyond its rectified plate: what was matched there is chance, and no ground to fill from."""
+
+    def of(disparity: Float32, known: Bool) -> Float32:
+        return disparity if known.all() else np.where(known, disparity, np.float32(np.nan))
+
+    return of(left, proxy.left_known), of(right, proxy.right_known)
 
 
 def without_speckles(disparity: Float32, smallest_px: int) -> Float32:
@@ -228,6 +240,7 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
         held = np.where(changed | consistent(left, right), carried, np.float32(np.nan))
         again, right = supported(*seen, given=held, alike=alike, step=step, pull=AGAIN_PULL, limit=AGAIN_LIMIT)
         left = np.where(np.abs(again - left) <= 0.5, left, again)  # the pull draws parts of a pixel to whole ones
+    left, right = on_plates(left, right, proxy)
     left = without_speckles(left, round(speckle_px))
     mended = None
     if plain:

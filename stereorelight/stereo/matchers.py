@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stereorelight.arrays import Bool, Float32
+from stereorelight.arrays import Float32
 from stereorelight.errors import PlateError, ShotError, nearest_hint
 
 if TYPE_CHECKING:
@@ -98,27 +98,16 @@ def _checked(disparity: Float32, proxy: Proxy, name: str) -> Float32:
     return np.where(np.isfinite(d), d, np.nan).astype(np.float32)
 
 
-def _everywhere(disparity: Float32) -> Float32:
-    """`disparity` with the background's value where it has none."""
-    import cv2
-
-    from stereorelight.engine.occlusion import background
-
-    known: Bool = np.isfinite(disparity)
-    if known.all():
-        return disparity
-    return cv2.medianBlur(background(np.where(known, disparity, np.float32(0)), known), 5)
-
-
 def match_by(matcher: Matcher, name: str, proxy: Proxy, search: DisparityRange) -> Match:
     """Both eyes by `matcher`.  Raises PlateError where it gives something else than a disparity, or none at all."""
-    from stereorelight.stereo.match import Match
+    from stereorelight.stereo.match import Match, everywhere, on_plates
 
     left = _checked(matcher(proxy, search), proxy, name)
     mirrored = proxy.flipped()
-    right = _checked(matcher(mirrored, search), mirrored, name)[:, ::-1]
+    right = np.ascontiguousarray(_checked(matcher(mirrored, search), mirrored, name)[:, ::-1])
+    left, right = on_plates(left, right, proxy)
     for disparity, eye in ((left, "left"), (right, "right")):
         if not np.isfinite(disparity).any():
             raise PlateError(f"matcher {name} found no disparity at all for the {eye} eye between {search.low} and {search.high} px")
-    dense = np.clip(_everywhere(left), search.low, search.high)
-    return Match(left=left, right=np.ascontiguousarray(right), dense=np.where(np.isfinite(left), left, dense))
+    dense = np.clip(everywhere(left), search.low, search.high)
+    return Match(left=left, right=right, dense=np.where(np.isfinite(left), left, dense))
