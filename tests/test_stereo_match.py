@@ -48,3 +48,13 @@ def test_whole_plates_stay_as_they_are() -> None:
     disparity = np.random.default_rng(0).normal(size=(2, H, W)).astype(np.float32)
     left, right = on_plates(*disparity, known)
     np.testing.assert_array_equal(np.stack([left, right]), disparity)
+
+
+def test_dead_pixels_and_rows_within_the_plate_keep_what_was_matched_about_them() -> None:
+    proxy = beyond_the_plate()
+    known = proxy.left_known.copy()
+    known[20, 40], known[30], known[:, 70] = False, False, False
+    hurt = Proxy(left=proxy.left, right=proxy.right, left_grey=proxy.left_grey, right_grey=proxy.right_grey, left_known=known, right_known=known)
+    left, _ = on_plates(np.full((H, W), D, np.float32), np.full((H, W), D, np.float32), hurt)
+    assert np.isnan(left[~proxy.left_known]).all()
+    assert np.isfinite(left[10:-10, 10:110]).all()

@@ -41,6 +41,7 @@ SUPPORT_SPECKLE_PX = 40  # the same of adaptive support, in clean plates
 NOISY = 3.2  # grey levels of noise from which matching is made stiffer with it
 HALF_SMALLEST_PX = 64  # of half a picture's side that is worth matching
 HALF_AGREES_PX = 1.5  # whole half-size pixels cannot agree better
+BEYOND_PX = 9  # width of ground without a plate that is no dead pixel or row
 PLAIN, PLAIN_WINDOW = 4.0, (5, 5)  # grey levels per px along the row, root mean square about a pixel: plainer ground proves nothing
 PLAIN_LOST = 0.15  # share of the picture that is plain and unmatched from which a clean pair is matched at half the size, too
 ALIKE = 0.25  # of the noise: neighbours that differ by less are alike to the census
@@ -142,10 +143,19 @@ def semi_global(proxy: Proxy, search: DisparityRange) -> Match:
 
 
 def on_plates(left: Float32, right: Float32, proxy: Proxy) -> tuple[Float32, Float32]:
-    """Each eye's disparity, NaN beyond its rectified plate: what was matched there is chance, and no ground to fill from."""
+    """Each eye's disparity, NaN beyond its rectified plate: what was matched there is chance, and no ground to fill from.
+
+    Broken pixels and rows within the plate are matched by what stands about them, and keep it: beyond is what is as wide as `BEYOND_PX`, or
+    near what is, the frame's own outside counting as beyond.
+    """
 
     def of(disparity: Float32, known: Bool) -> Float32:
-        return disparity if known.all() else np.where(known, disparity, np.float32(np.nan))
+        if known.all():
+            return disparity
+        wide, near = np.ones((BEYOND_PX,) * 2, np.uint8), np.ones((2 * BEYOND_PX - 1,) * 2, np.uint8)
+        gone = cv2.copyMakeBorder((~known).view(np.uint8), *(BEYOND_PX,) * 4, cv2.BORDER_CONSTANT, value=1)
+        beyond = cv2.dilate(cv2.erode(gone, wide), near) & gone
+        return np.where(beyond[BEYOND_PX:-BEYOND_PX, BEYOND_PX:-BEYOND_PX], np.float32(np.nan), disparity)
 
     return of(left, proxy.left_known), of(right, proxy.right_known)
 
