@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from stereorelight.engine.occlusion import background, consistent, unseen
+from stereorelight.engine.occlusion import FEWEST, STEEPEST, background, consistent, continued, unseen
 
 f4 = np.float32
 ROWS = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=24)
@@ -108,3 +108,52 @@ def test_both_eyes_of_a_wall_agree() -> None:
     left = right = np.full((2, 30), 6, f4)
     assert np.array_equal(consistent(left, right), ~unseen(left))
     assert not consistent(left, right + f4(1.01)).any()
+
+
+def border(slope: float, rows: int = 40, first: int = 30) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+    """A slanted wall, itself with a sixth of a pixel of noise, and the columns that are its sources: all from `first` on."""
+    x, y = np.arange(120, dtype=f4), np.arange(rows, dtype=f4)[:, None]
+    wall = (24 - f4(slope) * x + f4(0.02) * y).astype(f4)
+    noisy = (wall + 0.16 * np.random.default_rng(5).standard_normal(wall.shape)).astype(f4)
+    return wall, noisy, np.broadcast_to(x >= first, wall.shape)
+
+
+@given(slope=st.floats(-0.25, 0.25), first=st.integers(FEWEST + 5, 40))
+def test_a_slanted_wall_goes_on_as_it_slopes(slope: float, first: int) -> None:
+    """As far beyond the other eye's frame as it was seen before it: as well as the middle of so many rows of noise can tell."""
+    wall, noisy, source = border(slope, first=first)
+    level = np.broadcast_to(wall[:, first : first + 1], wall.shape)
+    out = continued(level.astype(f4), noisy, source)
+    assert np.array_equal(out[:, first:], level[:, first:].astype(f4))
+    assert np.abs(out - wall)[:, :first].max() < 1.0
+    assert np.sqrt(np.mean((out - wall)[:, :first] ** 2)) < 0.35
+
+
+def test_without_noise_it_goes_on_exactly() -> None:
+    wall, _, source = border(0.08)
+    out = continued(np.zeros_like(wall), wall, source)
+    assert np.abs(out - wall)[:, :30].max() < 1e-3
+
+
+def test_nothing_goes_on_steeper_than_a_surface_worth_lighting() -> None:
+    wall, _, source = border(0.8)
+    out = continued(np.zeros_like(wall), wall, source)
+    assert np.allclose(np.diff(out[:, :30], axis=1), -STEEPEST, atol=1e-4) or np.array_equal(out, np.zeros_like(wall))
+
+
+def test_a_thing_beside_the_border_has_no_say_in_the_wall() -> None:
+    """A card twelve px nearer, twenty columns in: the line is fitted before it; and a row of few sources keeps what it was given."""
+    wall, _, source = border(0.08)
+    before = wall.copy()
+    before[:, 50:70] += 12
+    assert np.array_equal(continued(np.zeros_like(wall), before, source), continued(np.zeros_like(wall), wall, source & (np.arange(120) < 50)))
+    few = source & (np.arange(120) < 30 + FEWEST - 1)
+    assert not continued(np.zeros_like(wall), wall, few).any()
+    assert not continued(np.zeros_like(wall), wall, np.zeros_like(source)).any()
+
+
+def test_two_surfaces_at_the_border_each_go_on_as_they_slope() -> None:
+    wall, _, source = border(0.08)
+    wall[20:] = 40 + 0.05 * np.arange(120, dtype=f4)
+    out = continued(np.zeros_like(wall), wall, source)
+    assert np.abs(out - wall)[:, :30].max() < 0.1  # where they meet, there are rows of one side only

@@ -59,7 +59,7 @@ def test_each_evidence_against_makes_less_sure(worse) -> None:
 def test_where_matching_is_lost_a_guess_is_told_less() -> None:
     guess = {"confirmed": full(0), "flow_agrees": full(0), "confirmed_nearby": full(0), "flow_agrees_nearby": full(0), "sigma": full(3)}
     told = [float(confidence_from_evidence(replace(usual(), **guess, lost=lost)).min()) for lost in (0.0, 0.1, 0.3)]
-    assert told[0] > 0.5 > told[2]
+    assert told[0] > 0.45 > told[2]  # in real scenes nearer to four in ten of them are right than to six
     assert told == sorted(told, reverse=True)
     for lost in (0.0, 0.3, 1.0):
         assert floors(lost)[1] <= floors(lost)[0]

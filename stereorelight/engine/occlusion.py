@@ -11,6 +11,9 @@ from stereorelight.arrays import Bool, Float32
 from stereorelight.engine.rows import in_pieces
 
 f4 = np.float32
+STEP_PX = f4(1)  # between neighbours of one surface, and a steep one by this more per px
+STEEPEST = f4(0.3)
+FEWEST = 10  # columns that a line is fitted to
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -102,6 +105,65 @@ def completed(disparity: Float32, other: Float32) -> Float32:
     """`disparity`, and `other` where it is NaN."""
     out = np.empty(disparity.shape, np.float32)
     in_pieces(lambda first, end: _completed(first, end, disparity, other, out), disparity.shape[0])
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _borders(disparity, source, reach, start, level, slope):
+    """Of each row: its first source, and the line through the sources that go on from there without a step."""
+    H, W = disparity.shape
+    for y in range(H):
+        start[y], slope[y] = 0, f4(np.nan)
+        while start[y] < W and not source[y, start[y]]:
+            start[y] += 1
+        if start[y] == 0 or start[y] == W:
+            start[y] = 0
+            continue
+        b = start[y]
+        before, n, u, d, uu, ud = b, f4(0), f4(0), f4(0), f4(0), f4(0)
+        for x in range(b, min(b + min(max(b, FEWEST), reach), W)):
+            if not source[y, x]:
+                continue
+            if abs(disparity[y, x] - disparity[y, before]) > STEP_PX + STEEPEST * f4(x - before):
+                break
+            before, k, value = x, f4(x - b), disparity[y, x]
+            n, u, d, uu, ud = n + f4(1), u + k, d + value, uu + k * k, ud + k * value
+        if n >= FEWEST:
+            slope[y] = (n * ud - u * d) / (n * uu - u * u)
+            level[y] = (d - slope[y] * u) / n
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _continued(start, level, slope, rows, out):
+    H = out.shape[0]
+    slopes, levels = np.empty(2 * rows + 1, np.float32), np.empty(2 * rows + 1, np.float32)
+    for y in range(H):
+        if slope[y] != slope[y]:
+            continue
+        m, reach = 0, min(rows, y, H - 1 - y)  # as many above as below, since the ground may slope that way, too
+        for z in range(y - reach, y + reach + 1):
+            there = level[z] + slope[z] * f4(start[y] - start[z])
+            if abs(there - level[y]) <= STEP_PX + f4(0.5):  # another surface has no say, nor has a row without a line
+                slopes[m], levels[m] = slope[z], there
+                m += 1
+        if 2 * m > reach:
+            steep, here = min(max(np.median(slopes[:m]), -STEEPEST), STEEPEST), np.median(levels[:m])
+            for x in range(start[y]):
+                out[y, x] = here + steep * f4(x - start[y])
+
+
+def continued(behind: Float32, disparity: Float32, source: Bool, *, reach: int = 64, rows: int = 8) -> Float32:
+    """`behind`, but before each row's first `source` the line on which the sources after it lie: ground beyond the other eye's frame goes on as it
+    slopes.
+
+    The line is fitted to as many columns as it is to go on for, `reach` at most, up to a step; its slope is the median of those of the rows
+    about it that lie on the same surface, `rows` either way.  Where there is no such line, nothing changes.
+    """
+    H = disparity.shape[0]
+    start, level, slope = np.zeros(H, np.int32), np.zeros(H, np.float32), np.empty(H, np.float32)
+    _borders(disparity, source, reach, start, level, slope)
+    out = behind.copy()
+    _continued(start, level, slope, rows, out)
     return out
 
 

@@ -42,17 +42,17 @@ EVIDENCE = (
     "log lost",
     "on rims",
 )
-COEFFICIENTS = np.array(
-    [0.232, 0.809, 0.095, -1.141, -2.145, 0.717, 0.642, -0.187, -0.968, -0.152, -1.129, 0.295, -0.336, -0.616, 2.35], dtype=np.float32
-)
+COEFFICIENTS = np.array([1.09, 0.934, 0.003, -0.824, -1.327, 0.0, 0.694, -0.218, -1.049, -0.289, -2.63, 0.15, -0.292, -0.651, 2.35], dtype=np.float32)
 # Of half-size pictures without a second opinion, their lengths in pixels of the plate; none of their ground lies on rims.
 DRAFT_COEFFICIENTS = np.array(
     [0.062, 0.421, 0.421, -0.928, -1.274, 0.99, 1.388, -0.215, -0.575, -0.257, -0.883, 0.498, -0.379, -0.069, 0.0], dtype=np.float32
 )
-FLOOR, LOWER = 0.7, 0.22  # by which ground of which nothing is known but what lies beside it is told right; and where the eyes share nothing
+# By which ground of which nothing is known but what lies beside it is told right; where the eyes share nothing; and the share that is lost by
+# which both are less by a factor of e.
+FLOORS, DRAFT_FLOORS = (0.52, 0.18, 0.5), (0.7, 0.22, 0.4)
 # log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log of how far errors hang together, and what is missing
 # of `SURE` where the eyes share nothing: a match that is wrong there is wrong by any amount.
-SIGMA_COEFFICIENTS = (0.813, 0.84, 0.674, 0.183, 2.886)
+SIGMA_COEFFICIENTS = (0.786, 0.889, 0.623, 0.311, 3.204)
 SURE = 0.8
 MOST_SIGMA_PX = 16.0
 WINDOW = (7, 7)
@@ -69,7 +69,6 @@ UNEVEN = 5  # quarter-size px, odd
 LEAST_LOST = 0.05  # of what both eyes see: outlines are lost in every pair
 USUAL_SHARE = 0.125  # of the logarithm of the usual misfit; a fourth is what it makes sigma wider by, were it all noise
 IGNORED_SIGMA_PX = 1.0  # of ground whose brightness may not speak: no texture there makes it surer
-LOST_FLOOR = 0.4  # share that is lost by which the floors are less by a factor of e
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -200,7 +199,7 @@ def evidence(
     )
 
 
-def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS) -> Float32:
+def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS, least: tuple[float, float, float] = FLOORS) -> Float32:
     """(H, W) float32, 0..1: among pixels of confidence c a share of about c is within 1 px of truth.
 
     Where eyes differ by more than grain all over (compression, sharpening, rows that do not quite agree), that they do tells no pixel from
@@ -214,13 +213,13 @@ def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS) 
     on_rims = np.zeros_like(e.sigma) if e.on_rims is None else e.on_rims
     misfit = e.misfit if e.usual == 1 else e.misfit / np.float32(e.usual)
     given = (e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, misfit, e.alone, e.texture, e.uneven, on_rims)
-    return believed(weights, *given, floors=floors(e.lost))
+    return believed(weights, *given, floors=floors(e.lost, least))
 
 
-def floors(lost: float) -> tuple[float, float]:
+def floors(lost: float, least: tuple[float, float, float] = FLOORS) -> tuple[float, float]:
     """What confidence is at least where nothing is known of a pixel but what lies beside it, and where the eyes share nothing."""
-    floor = FLOOR * float(np.exp(-lost / LOST_FLOOR))
-    return floor, min(LOWER, floor)
+    floor = least[0] * float(np.exp(-lost / least[2]))
+    return floor, min(least[1], floor)
 
 
 def sigma_from_evidence(e: Evidence, confidence: Float32, coefficients: tuple[float, float, float, float, float] = SIGMA_COEFFICIENTS) -> Float32:

@@ -113,6 +113,7 @@ def refined_with_evidence(
         proxy, dense, confirmed, known=known, ramps=settings.matcher != OWN, calm=found.calm, effort=EFFORTS[settings.quality],
         subject=subject, ignore=ignore,
     )  # fmt: skip
+    confirmed &= ~refined.unseen  # what matched by chance where nothing is to be seen
     return refined, confirmed, belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity, ignore, found.on_rims)
 
 
@@ -124,7 +125,7 @@ def _of_pair(
     if px == 1:
         confidence = belief.confidence_from_evidence(evidence)
     else:
-        confidence = belief.confidence_from_evidence(evidence.in_pixels(px), belief.DRAFT_COEFFICIENTS)
+        confidence = belief.confidence_from_evidence(evidence.in_pixels(px), belief.DRAFT_COEFFICIENTS, belief.DRAFT_FLOORS)
     sigma, flags = at_once(
         lambda: belief.sigma_from_evidence(evidence, confidence),
         lambda: belief.reasons(refined, confirmed, proxy.left_known, proxy.right_known),

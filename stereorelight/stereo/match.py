@@ -6,6 +6,7 @@ unmatched.  Disparities of both signs are normal: a converged rig has them on bo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import cv2
@@ -23,6 +24,7 @@ from stereorelight.errors import PlateError
 from stereorelight.stereo.halves import half_proxy, nearest
 from stereorelight.stereo.median import median_5
 from stereorelight.stereo.order import BEHIND_LIMIT, BEHIND_PX, RIG_TELLS, behind_rig, votes
+from stereorelight.stereo.periods import moved
 from stereorelight.stereo.plains import carried_on
 from stereorelight.stereo.proxy import CALM, Proxy, grey_of
 from stereorelight.stereo.rims import on_rims
@@ -47,6 +49,7 @@ PLAIN_LOST = 0.15  # share of the picture that is plain and unmatched from which
 ALIKE = 0.25  # of the noise: neighbours that differ by less are alike to the census
 CLEAN_STEP, CALM_STEP = 2.0, 1.5  # cost of a step of the census; of calm plates less, where more of its answers are chance
 AGAIN_PULL, AGAIN_LIMIT = 4.0, 16.0  # of grainy plates' second look, to what both eyes said at the first
+PERIOD_ROUNDS = 3  # of moving what lies a period off, and matching again
 P1, P2 = 2 * BLOCK**2, 30 * BLOCK**2  # penalties of a step by one and of a jump, per channel: low for steps, since planes smooth later; high for
 # jumps, since adaptive support finds the outlines and wants one answer on a wall that repeats
 CALM_P2 = 12 * BLOCK**2  # of a jump on plain ground in calmed pictures, whose contrast is less: more carries what is near over such ground beside it
@@ -227,7 +230,8 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     The one holds plain ground together, the other keeps each thing's own outline (docs/decisions/0018-adaptive-support.md).
     exhaustive : eight directions of SGBM in place of three; slower, and much more memory: three where that would be more than about 2 GB.
     guided     : grainy and plain plates are matched at half the size, too, for where the full size finds nothing sure.
-    led        : by SGBM at all; without it a quarter of the time is saved, and a wall that repeats is found at any of its repeats.
+    led        : by SGBM at all; without it a quarter of the time is saved, and more of a wall that repeats is found a period off.
+    What repeats and was found a period off is moved (docs/decisions/0062-walls-that-repeat.md).
     """
     noise = proxy.noise()
     calm = proxy.calmed()
@@ -240,16 +244,23 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
         given, plain = _guide(stiff, loose, proxy, calm, search)
     elif led:
         given = _left_px(stiff if calm is proxy else loose, calm, search)
-    seen = (calm.left, left_grey, right_grey, search.low, search.count)
     alike = max(1.0, ALIKE * noise)
-    left, right = supported(*seen, given=given, alike=alike, step=step)
+    look = partial(supported, calm.left, left_grey, right_grey, search.low, search.count, alike=alike, step=step)
+    left, right = look(given=given)
     speckle_px = SUPPORT_SPECKLE_PX * float(np.clip(noise / CALM, 1, 3))
     if calm is not proxy and guided and led:
         speckle_px = SUPPORT_SPECKLE_PX
         carried, changed = carried_on(proxy.left_grey, proxy.right_grey, calm.left, left, noise=noise, grain2=sum(grain**2 for grain in proxy.grains))
-        held = np.where(changed | consistent(left, right), carried, np.float32(np.nan))
-        again, right = supported(*seen, given=held, alike=alike, step=step, pull=AGAIN_PULL, limit=AGAIN_LIMIT)
+        given = np.where(changed | consistent(left, right), carried, np.float32(np.nan))
+        look = partial(look, pull=AGAIN_PULL, limit=AGAIN_LIMIT)
+        again, right = look(given=given)
         left = np.where(np.abs(again - left) <= 0.5, left, again)  # the pull draws parts of a pixel to whole ones
+    for _ in range(0 if plain else PERIOD_ROUNDS):  # bare ground repeats, too, and has nothing to tell by
+        there = moved(left_grey, right_grey, left, search.low, search.count)
+        if there is None:
+            break
+        given = there if given is None else np.where(np.isnan(there), given, there)
+        left, right = look(given=given)
     left, right = on_plates(left, right, proxy)
     left = without_speckles(left, round(speckle_px))
     mended = None

@@ -23,13 +23,14 @@ from stereorelight.engine.bends import bend_energies, slopes
 from stereorelight.engine.edges import joined_to_sides, outlined, weighed_sides
 from stereorelight.engine.evidence import held_evidence, left_over
 from stereorelight.engine.locking import locking_tables
-from stereorelight.engine.occlusion import background, unseen
+from stereorelight.engine.occlusion import background, continued, unseen
 from stereorelight.engine.photometric import row_splines
 from stereorelight.engine.pyramid import doubled, halved
 from stereorelight.engine.refine import blended, robust_planes
 from stereorelight.engine.rows import at_once
 from stereorelight.engine.windows import Seen
 from stereorelight.stereo.hints import on_matte_edge
+from stereorelight.stereo.match import without_speckles
 from stereorelight.stereo.median import median_5
 from stereorelight.stereo.proxy import Proxy
 
@@ -83,6 +84,7 @@ class Effort:
              the last to look at the pictures from.
     tail   : of bends, as `plate_correction` takes it, in all rounds but the first, where steps of matching look like bends.
     mixed  : trust in pixels that show both sides of a step: what they match is neither.
+    island_px : confirmed ground smaller than this is no ground to go on from beside it; where what lies about it would be hidden, it is, too.
     """
 
     passes: int
@@ -96,10 +98,11 @@ class Effort:
     blends: int = 1
     tail: float = 0.0
     mixed: float = 1.0
+    island_px: int = 40
 
 
 EFFORTS = {
-    "draft": Effort(passes=1, rounds=1, steps=4, last=4, radius=6, stride=4, tau_px=0.5),
+    "draft": Effort(passes=1, rounds=1, steps=4, last=4, radius=6, stride=4, tau_px=0.5, island_px=0),
     "standard": Effort(passes=1, rounds=4, steps=12, last=6, finest=1),
     "fine": Effort(passes=2, rounds=4, steps=20, last=20, blends=2, tail=4.0, mixed=0.1),
 }
@@ -334,16 +337,18 @@ def refine(
     calm = proxy.left if calm is None else calm
     fine = _from_rows_that_match(dense, proxy)
     sure = confirmed if known is None else confirmed & known
-    behind = background(fine, sure)
+    firm = np.isfinite(without_speckles(np.where(sure, fine, np.float32(np.nan)), effort.island_px)) if effort.island_px else sure
+    behind = background(fine, firm)
     # Hidden: what would be hidden if it were the background, so that a thin thing before a wall keeps its own value.
     # The median takes out streaks: a row whose nearest match is wrong.
     hidden, (beyond, calm_behind) = at_once(
-        lambda: unseen(np.where(sure, fine, behind)) | unseen(fine),
-        lambda: (_out_of_range(fine, sure), median_5(behind)),
+        lambda: unseen(np.where(firm, fine, behind)) | unseen(fine),
+        lambda: (_out_of_range(fine, sure), continued(median_5(behind), fine, firm)),
     )
-    lost = (hidden | beyond) & ~sure
+    lost = (hidden | beyond) & ~firm
     empty = lost if known is None else lost | ~known
     filled = np.where(empty, calm_behind, fine)
+    sure &= ~lost
     trust = np.where(sure, np.float32(1), np.float32(UNSURE_TRUST))
     trust[lost] = UNSEEN_TRUST
     if ramps:

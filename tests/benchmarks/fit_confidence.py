@@ -60,6 +60,11 @@ PHOTOGRAPHS, OTHER_PHOTOGRAPHS = range(1, 7), range(10, 14)
 PHOTOGRAPHED = (("clean", 1.0), ("add", 1.0), ("add", 0.25), ("both", 1.0), ("photon", 0.25))  # grain, and exposure
 OTHERWISE_PHOTOGRAPHED = (("clean", 1.0), ("add", 1.0), ("add", 0.25), ("photon", 1.0), ("photon", 0.25), ("both", 1.0), ("both", 0.25))
 PLAIN = (*range(14), *range(plain_scenes.FILLED, plain_scenes.FILLED + 10), *range(plain_scenes.LARGE, plain_scenes.LARGE + 30))
+WORTH = {"rendered": 3.75, "plain": 0.35}  # of a family beside the others: made-up boards are barer and worse compressed than what is shot
+# What only plain ground teaches, as a fit in which families counted alike had it, but half of what texture was worth there.
+KEPT = {"log texture": 0.15, "on rims": 2.35}
+FOR = {"confirmed", "flow agrees", "confirmed nearby", "flow agrees nearby", "log texture", "on rims"}  # never makes less sure
+AGAINST = {"edge nearby", "log sigma", "log misfit", "eyes share nothing", "log uneven", "log lost"}  # never makes surer
 WITHIN = 0.683
 RIDGE = 1e-4  # on coefficients, per pixel: keeps those that say the same from running off against each other
 CLIP = 1e-4  # least error, px and degrees: nothing is told finer
@@ -78,6 +83,7 @@ class Pair:
     N: np.ndarray
     seen: np.ndarray
     drawn: np.ndarray
+    floors: tuple[float, float, float]
 
 
 def looked_at(
@@ -107,7 +113,9 @@ def looked_at(
     error = np.abs(disparity - truth)
     N = np.full((*truth.shape, 3), np.nan, np.float32) if N is None else N
     family = name.split()[0]
-    return Pair(name=name, family=family, rig=rectified.rig, disparity=disparity, evidence=evidence, error=error, N=N, seen=seen, drawn=drawn)
+    floors = belief.DRAFT_FLOORS if draft else belief.FLOORS
+    judged = {"disparity": disparity, "evidence": evidence, "error": error, "N": N, "seen": seen, "drawn": drawn}
+    return Pair(name=name, family=family, rig=rectified.rig, floors=floors, **judged)
 
 
 def _drafted(views: Sequence[np.ndarray], rectified: Rectification, near_m: float | None, far_m: float | None) -> tuple[np.ndarray, belief.Evidence]:
@@ -220,8 +228,15 @@ def fitted_confidence(A: np.ndarray, floor2: np.ndarray, right: np.ndarray, weig
         by_c = A.T @ (by_told * p / (scale * told) * p * (1 - p))
         return value + RIDGE * (c[still] ** 2).sum(), by_c + 2 * RIDGE * c * still
 
-    found = minimize(loss, np.zeros(A.shape[1]), jac=True, method="L-BFGS-B", options={"maxiter": 2000})
-    print(f"confidence, floors {belief.FLOOR}, {belief.LOWER}: log loss {found.fun:.5f}", flush=True)
+    def bounds(name: str) -> tuple[float | None, float | None]:
+        if name in KEPT:
+            return KEPT[name], KEPT[name]
+        return (0.0 if name in FOR else None), (0.0 if name in AGAINST else None)
+
+    limits = [bounds(name) for name in belief.EVIDENCE]
+    start = np.array([KEPT.get(name, 0.0) for name in belief.EVIDENCE])
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 2000})
+    print(f"confidence: log loss {found.fun:.5f}", flush=True)
     return found.x
 
 
@@ -245,7 +260,7 @@ class Coefficients:
 
 
 def told_of(pair: Pair, c: Coefficients) -> tuple[np.ndarray, np.ndarray]:
-    sure = belief.confidence_from_evidence(pair.evidence, c.confidence.astype(np.float32))
+    sure = belief.confidence_from_evidence(pair.evidence, c.confidence.astype(np.float32), pair.floors)
     return sure, belief.sigma_from_evidence(pair.evidence, sure, c.sigma)
 
 
@@ -262,15 +277,16 @@ def normals_evidence(pair: Pair, c: Coefficients) -> tuple[np.ndarray, np.ndarra
 
 
 def weights_of(pairs: Sequence[Pair]) -> np.ndarray:
-    """Of each drawn pixel: every family counts alike, and every pair within it."""
+    """Of each drawn pixel: every family counts what it is `WORTH`, and every pair within it alike."""
     of_family = Counter(p.family for p in pairs)
-    return np.concatenate([np.full(p.drawn.size, 1 / (p.drawn.size * of_family[p.family])) for p in pairs]) / len(of_family)
+    worth = {family: WORTH.get(family, 1.0) / count for family, count in of_family.items()}
+    return np.concatenate([np.full(p.drawn.size, worth[p.family] / p.drawn.size) for p in pairs]) / len(of_family)
 
 
 def confidence_of(pairs: Sequence[Pair]) -> np.ndarray:
     floor2 = []
     for p in pairs:
-        floor, lower = belief.floors(p.evidence.lost)
+        floor, lower = belief.floors(p.evidence.lost, p.floors)
         floor2.append((floor + p.evidence.alone.ravel()[p.drawn] * (lower - floor)) ** 2)
     A = np.concatenate([confidence_evidence(p.evidence)[p.drawn] for p in pairs])
     error = np.concatenate([p.error.ravel()[p.drawn] for p in pairs])
