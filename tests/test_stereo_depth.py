@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,8 +16,9 @@ from stereorelight.errors import PlateError, ShotError
 from stereorelight.passes import Flag
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.match import search_range
-from stereorelight.stereo.proxy import matching_proxy
+from stereorelight.stereo.proxy import Proxy, matching_proxy
 from stereorelight.stereo.rectify import Rectification, rectification
+from stereorelight.stereo.refine import EFFORTS, refine
 from stereorelight.stereo.settings import DepthSettings
 from stereorelight.synth.dials import softened
 from stereorelight.synth.render import Shot, render
@@ -307,3 +310,36 @@ def test_a_hard_rig_costs_less_than_a_quarter() -> None:
     assert medians["hard", "quantised"] < 0.001
     assert medians["hard", "soft_px"] <= 1.25 * medians["parallel", "soft_px"] < 0.0028
     assert medians["hard", "soft_px", "grain"] <= 1.25 * medians["parallel", "soft_px", "grain"] < 0.01
+
+
+def test_ground_beyond_the_other_frame_goes_on_as_it_slopes() -> None:
+    """The wall at the left of the bust's room, of which the right eye sees none of the first columns."""
+    made, rectified = shot("bust", "parallel", size=(480, 270))
+    error = disparity_error(made, recover(*plates(made, rectified), rectified).frame["Z"])
+    beyond = (made.left["flags"] & Flag.OUT_OF_VIEW) != 0
+    assert beyond.mean() > 0.02
+    assert (error[beyond] <= 0.5).mean() > 0.95
+
+
+@pytest.mark.parametrize(("island_px", "right"), [(40, True), (0, False)])
+def test_what_matches_by_chance_in_hidden_ground_carries_no_streak(island_px: int, right: bool) -> None:
+    """A card 20 px before a wall, and five by five px of the ground that it hides, on which both eyes happen to agree about 9 px too near."""
+    rng = np.random.default_rng(2)
+    height, width, wall, card = 80, 240, 6, 26
+    grey = rng.uniform(60, 200, (height, width + 40)).astype(np.float32)
+    front = rng.uniform(60, 200, (height, 50)).astype(np.float32)
+    left, right_grey = grey[:, :width].copy(), grey[:, wall : wall + width].copy()
+    left[:, 120:170], right_grey[:, 120 - card : 170 - card] = front, front
+    truth = np.full((height, width), wall, np.float32)
+    truth[:, 120:170] = card
+    dense, confirmed = truth.copy(), np.ones(truth.shape, np.bool_)
+    confirmed[:, 100:120] = confirmed[:, :wall] = False
+    island = np.s_[38:43, 105:110]
+    dense[island], confirmed[island] = wall + 9, True
+    known = np.ones(truth.shape, np.bool_)
+    coded = [np.ascontiguousarray(np.repeat(np.rint(eye)[..., None], 3, axis=2)).astype(np.uint8) for eye in (left, right_grey)]
+    proxy = Proxy(left=coded[0], right=coded[1], left_grey=left, right_grey=right_grey, left_known=known, right_known=known)
+    found = refine(proxy, dense, confirmed, effort=replace(EFFORTS["standard"], island_px=island_px))
+    off = np.abs(found.disparity - truth)[36:45, 101:118]
+    assert (off.max() < 1) == right
+    assert found.unseen[island].all() == right

@@ -62,6 +62,21 @@ def test_what_lies_well_is_left_alone() -> None:
     assert moved(proxy.left_grey, proxy.right_grey, truth, SEARCH.low, SEARCH.count) is None
 
 
+def test_thin_things_before_the_wall_stay_before_it() -> None:
+    """Bars of three px, six px before the wall, which is no period of it: what is looked at about them is wall for the most part."""
+    proxy, truth = wall(grain=4.0, noise=0.0)
+    left, right, found = proxy.left_grey.copy(), proxy.right_grey.copy(), truth.copy()
+    for x in range(201, 290, 24):
+        near = round(float(truth[0, x])) + 6
+        left[:, x : x + 3], right[:, x - near : x - near + 3], found[:, x : x + 3] = 40, 40, near
+    bars = found != truth
+    found[:, 120:180] += PERIOD
+    there = moved(left, right, found, SEARCH.low, SEARCH.count)
+    assert there is not None
+    assert np.isfinite(there[:, 120:180]).mean() > 0.95
+    assert np.isnan(there[bars]).all()
+
+
 def test_noise_is_left_alone() -> None:
     """No wall: two eyes that share nothing, in twenty draws of which none may move a region."""
     for seed in range(20):
