@@ -113,12 +113,12 @@ def test_both_eyes_of_a_wall_agree() -> None:
 def border(slope: float, rows: int = 40, first: int = 30) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
     """A slanted wall, itself with a sixth of a pixel of noise, and the columns that are its sources: all from `first` on."""
     x, y = np.arange(120, dtype=f4), np.arange(rows, dtype=f4)[:, None]
-    wall = (24 - f4(slope) * x + f4(0.02) * y).astype(f4)
+    wall = (24 - f4(slope) * (x - first) + f4(0.02) * y).astype(f4)
     noisy = (wall + 0.16 * np.random.default_rng(5).standard_normal(wall.shape)).astype(f4)
     return wall, noisy, np.broadcast_to(x >= first, wall.shape)
 
 
-@given(slope=st.floats(-0.25, 0.25), first=st.integers(FEWEST + 5, 40))
+@given(slope=st.floats(-0.25, 0.25), first=st.integers(FEWEST + 5, 38))
 def test_a_slanted_wall_goes_on_as_it_slopes(slope: float, first: int) -> None:
     """As far beyond the other eye's frame as it was seen before it: as well as the middle of so many rows of noise can tell."""
     wall, noisy, source = border(slope, first=first)
@@ -157,3 +157,10 @@ def test_two_surfaces_at_the_border_each_go_on_as_they_slope() -> None:
     wall[20:] = 40 + 0.05 * np.arange(120, dtype=f4)
     out = continued(np.zeros_like(wall), wall, source)
     assert np.abs(out - wall)[:, :30].max() < 0.1  # where they meet, there are rows of one side only
+
+
+def test_what_was_not_matched_far_into_the_frame_is_not_gone_on_to() -> None:
+    """Of a wall 120 columns wide only what lies right of the 80th was matched: 50 columns within the other eye's frame, not where it begins."""
+    wall, _, source = border(0.08, first=80)
+    given = np.full_like(wall, 20)
+    assert np.array_equal(continued(given, wall, source), given)

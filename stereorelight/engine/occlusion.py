@@ -14,6 +14,7 @@ f4 = np.float32
 STEP_PX = f4(1)  # between neighbours of one surface, and a steep one by this more per px
 STEEPEST = f4(0.3)
 FEWEST = 10  # columns that a line is fitted to
+FARTHEST = f4(8)  # of what part of the width the first source may lie within the other eye's frame
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -129,8 +130,10 @@ def _borders(disparity, source, reach, start, level, slope):
             before, k, value = x, f4(x - b), disparity[y, x]
             n, u, d, uu, ud = n + f4(1), u + k, d + value, uu + k * k, ud + k * value
         if n >= FEWEST:
-            slope[y] = (n * ud - u * d) / (n * uu - u * u)
-            level[y] = (d - slope[y] * u) / n
+            steep = (n * ud - u * d) / (n * uu - u * u)
+            level[y] = (d - steep * u) / n
+            if f4(b) - level[y] <= f4(W) / FARTHEST:  # it lies there in the other eye's frame
+                slope[y] = steep
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -157,7 +160,8 @@ def continued(behind: Float32, disparity: Float32, source: Bool, *, reach: int =
     slopes.
 
     The line is fitted to as many columns as it is to go on for, `reach` at most, up to a step; its slope is the median of those of the rows
-    about it that lie on the same surface, `rows` either way.  Where there is no such line, nothing changes.
+    about it that lie on the same surface, `rows` either way.  Where there is no such line, nothing changes; nor where the first source lies more
+    than an eighth of the width within the other eye's frame, too far to go on from.
     """
     H = disparity.shape[0]
     start, level, slope = np.zeros(H, np.int32), np.zeros(H, np.float32), np.empty(H, np.float32)
