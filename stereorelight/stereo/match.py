@@ -25,9 +25,10 @@ from stereorelight.stereo.halves import half_proxy, nearest
 from stereorelight.stereo.median import median_5
 from stereorelight.stereo.order import BEHIND_LIMIT, BEHIND_PX, RIG_TELLS, behind_rig, votes
 from stereorelight.stereo.periods import moved
-from stereorelight.stereo.plains import carried_on
+from stereorelight.stereo.plains import carried_on, plain_ground
 from stereorelight.stereo.proxy import CALM, Proxy, grey_of
 from stereorelight.stereo.rims import on_rims
+from stereorelight.stereo.walls import AS_IF_NOISE, matched_on_walls
 
 COARSE_WIDTH = 160  # pixels of the picture in which the range is looked for
 STRIPS_WIDTH = 320  # and of that in which half-hidden strips are, where the range does not tell which eye is which
@@ -45,7 +46,9 @@ HALF_SMALLEST_PX = 64  # of half a picture's side that is worth matching
 HALF_AGREES_PX = 1.5  # whole half-size pixels cannot agree better
 BEYOND_PX = 9  # width of ground without a plate that is no dead pixel or row
 PLAIN, PLAIN_WINDOW = 4.0, (5, 5)  # grey levels per px along the row, root mean square about a pixel: plainer ground proves nothing
-PLAIN_LOST = 0.15  # share of the picture that is plain and unmatched from which a clean pair is matched at half the size, too
+PLAIN_LOST = 0.06  # share of the picture that is plain and unmatched from which a clean pair is matched at half the size, too
+WALLS_LOST = 0.02  # share of the picture that is plain and unmatched from which plain ground of a clean pair is put on planes
+LEAST_GRAIN = 0.5  # grey levels
 ALIKE = 0.25  # of the noise: neighbours that differ by less are alike to the census
 CLEAN_STEP, CALM_STEP = 2.0, 1.5  # cost of a step of the census; of calm plates less, where more of its answers are chance
 AGAIN_PULL, AGAIN_LIMIT = 4.0, 16.0  # of grainy plates' second look, to what both eyes said at the first
@@ -89,6 +92,7 @@ class Match:
     calm        : the left picture with less grain, where there was too much of it.
     dense       : the left one with a value everywhere.
     on_rims     : pixels of the left one that took the plane of the rims about them; None where there are none.
+    led         : what semi-global matching alone says of the left eye, NaN where it says nothing; None where it was not asked.
     """
 
     left: Float32
@@ -96,6 +100,7 @@ class Match:
     dense: Float32
     calm: UInt8 | None = None
     on_rims: Bool | None = None
+    led: Float32 | None = None
 
 
 def _raw(matcher: Any, picture: UInt8, other: UInt8, *, before: int, after: int) -> npt.NDArray[np.int16]:
@@ -181,7 +186,9 @@ def _plain(grey: Float32, most: float, window: tuple[int, int]) -> Bool:
     return cv2.blur(steep * steep, window) < most**2
 
 
-def _guide(matcher: cv2.StereoSGBM, loose: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: DisparityRange) -> tuple[Float32, bool]:
+def _guide(
+    left: Float32, matcher: cv2.StereoSGBM, loose: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: DisparityRange
+) -> tuple[Float32, bool]:
     """What leads adaptive support: SGBM's left answer, and that of half the size under grain or where much of the picture is plain; and
     whether that is what it is, and the picture clean.
 
@@ -190,7 +197,6 @@ def _guide(matcher: cv2.StereoSGBM, loose: cv2.StereoSGBM, proxy: Proxy, calm: P
     clean plates it speaks on plain ground, and only where SGBM is lost on a good part of the picture: elsewhere the full size knows better
     (docs/decisions/0028-plain-ground.md, 0040-grain-matched-twice.md).
     """
-    left = _left_px(matcher, calm, search)
     if min(left.shape) < 2 * HALF_SMALLEST_PX:
         return left, False
     clean, lost = calm is proxy, np.isnan(left)
@@ -231,7 +237,8 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     exhaustive : eight directions of SGBM in place of three; slower, and much more memory: three where that would be more than about 2 GB.
     guided     : grainy and plain plates are matched at half the size, too, for where the full size finds nothing sure.
     led        : by SGBM at all; without it a quarter of the time is saved, and more of a wall that repeats is found a period off.
-    What repeats and was found a period off is moved (docs/decisions/0062-walls-that-repeat.md).
+    What repeats and was found a period off is moved (docs/decisions/0062-walls-that-repeat.md).  Of clean plates, plain ground on which SGBM is
+    lost is put on planes (docs/decisions/0065-plain-walls.md).
     """
     noise = proxy.noise()
     calm = proxy.calmed()
@@ -239,11 +246,10 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     stiffness = float(np.clip(noise / NOISY, 1, 2))
     stiff, loose = (_matcher(calm, search, exhaustive=exhaustive, stiffness=stiffness, jump=jump) for jump in (P2, CALM_P2))
     left_grey, right_grey = (proxy.left_grey, proxy.right_grey) if calm is proxy else (grey_of(calm.left), grey_of(calm.right))
-    given, plain = None, False
-    if led and guided:
-        given, plain = _guide(stiff, loose, proxy, calm, search)
-    elif led:
-        given = _left_px(stiff if calm is proxy else loose, calm, search)
+    own = _left_px(stiff if guided or calm is proxy else loose, calm, search) if led else None
+    given, plain = own, False
+    if own is not None and guided:
+        given, plain = _guide(own, stiff, loose, proxy, calm, search)
     alike = max(1.0, ALIKE * noise)
     look = partial(supported, calm.left, left_grey, right_grey, search.low, search.count, alike=alike, step=step)
     left, right = look(given=given)
@@ -268,7 +274,12 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
         as_matched = left
         left, right = _on_rims(left_grey, right_grey, left, right)
         mended = np.isfinite(left) & (left != as_matched)
-    return Match(left=left, right=right, dense=everywhere(left), calm=calm.left, on_rims=mended)
+    if calm is proxy and own is not None:
+        bare = plain_ground(proxy.left, AS_IF_NOISE)
+        if np.mean(bare & np.isnan(own)) >= WALLS_LOST:
+            grain2 = sum(max(grain, LEAST_GRAIN) ** 2 for grain in proxy.grains)
+            left, right = matched_on_walls(proxy, bare, everywhere(left), (left, right), grain2=grain2)
+    return Match(left=left, right=right, dense=everywhere(left), calm=calm.left, on_rims=mended, led=own)
 
 
 def _coarse(proxy: Proxy, wide_px: int = COARSE_WIDTH) -> tuple[Proxy, float]:

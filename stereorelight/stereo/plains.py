@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from stereorelight.arrays import Bool, Float32, Float64, UInt8
+from stereorelight.engine.grounds import level
 from stereorelight.engine.occlusion import unseen
 from stereorelight.engine.photometric import brightness_residual
 from stereorelight.engine.rows import at_once
@@ -59,12 +60,10 @@ class Ground:
 
 def plain_ground(calm: UInt8, noise: float) -> Bool:
     """(H, W) bool: no channel of the calmed picture (H, W, 3) has an edge there; `noise`: grey levels of the picture before."""
-    soft = cv2.GaussianBlur(calm.astype(np.float32), (0, 0), CALM_PX)
-    across, down = (cv2.Sobel(soft, cv2.CV_32F, *way, scale=1 / 8) for way in ((1, 0), (0, 1)))
-    return (across * across + down * down).max(axis=2) < (PLAIN * noise) ** 2
+    return level(cv2.GaussianBlur(calm.astype(np.float32), (0, 0), CALM_PX), PLAIN * noise)
 
 
-def _off(planes: Float64, spots: Float64) -> Float64:
+def off_planes(planes: Float64, spots: Float64) -> Float64:
     """(k, m) px: how far each spot lies from each plane."""
     x, y, d = spots
     return np.abs(planes[:, :1] * x + planes[:, 1:2] * y + planes[:, 2:] - d)
@@ -88,9 +87,9 @@ def plane_through(spots: Float64) -> Float64 | None:
     planes = np.stack([a, b, d1 - a * x1 - b * y1], axis=1)[wide & (np.abs(a) < STEEPEST) & (np.abs(b) < STEEPEST)]
     if not len(planes):
         return None
-    best = planes[np.minimum(_off(planes, spots), ON_PX).sum(axis=1).argmin()]
+    best = planes[np.minimum(off_planes(planes, spots), ON_PX).sum(axis=1).argmin()]
     for _ in range(FITS):
-        on = spots[:, _off(best[None], spots)[0] < ON_PX]
+        on = spots[:, off_planes(best[None], spots)[0] < ON_PX]
         if on.shape[1] < 3:
             return None
         middle = on.mean(axis=1, keepdims=True)
@@ -123,11 +122,11 @@ def ground_of(plain: Bool, disparity: Float32) -> Ground:
         spots.append(own)
         plane = plane_through(own)
         if plane is not None:
-            planes[k], share[k] = plane, np.mean(_off(plane[None], own)[0] < ON_PX)
+            planes[k], share[k] = plane, np.mean(off_planes(plane[None], own)[0] < ON_PX)
     return Ground(label=label, area=area, spots=spots, planes=planes, share=share)
 
 
-def _beside(label: np.ndarray, n: int) -> list[set[int]]:
+def pieces_beside(label: np.ndarray, n: int) -> list[set[int]]:
     """Of each piece, the pieces that lie a few px from it along a row or a column."""
     pairs = set()
     for step in BESIDE_PX:
@@ -151,14 +150,14 @@ def planes_of(ground: Ground) -> Float64:
     on = ground.share * ground.area
     firm = ground.share >= OWN_SHARE
     taken = np.full((n, 3), np.nan)
-    beside = _beside(ground.label, n)
+    beside = pieces_beside(ground.label, n)
     for k in range(1, n):
         from_where = np.array([k, *sorted(beside[k])])
         from_where = from_where[firm[from_where]]
         if not from_where.size:
             continue
         planes, own = ground.planes[from_where], from_where == k
-        share = np.mean(_off(planes, ground.spots[k]) < ON_PX, axis=1)
+        share = np.mean(off_planes(planes, ground.spots[k]) < ON_PX, axis=1)
         worth = share * ground.area[k] + np.where(own, 0, on[from_where])
         least = max(OTHER_SHARE, 0.5 * ground.share[k]) if ground.share[k] >= SETTLED else OTHER_SHARE
         worth[share < np.where(own, OWN_SHARE, least)] = 0
