@@ -47,8 +47,7 @@ HALF_AGREES_PX = 1.5  # whole half-size pixels cannot agree better
 BEYOND_PX = 9  # width of ground without a plate that is no dead pixel or row
 PLAIN, PLAIN_WINDOW = 4.0, (5, 5)  # grey levels per px along the row, root mean square about a pixel: plainer ground proves nothing
 PLAIN_LOST = 0.06  # share of the picture that is plain and unmatched from which a clean pair is matched at half the size, too
-WALLS_LOST = 0.02  # share of the picture that is plain and unmatched from which plain ground of a clean pair is put on planes
-LEAST_GRAIN = 0.5  # grey levels
+WALLS_LOST = 0.02  # share of the picture that is plain and unmatched from which plain ground is put on planes
 ALIKE = 0.25  # of the noise: neighbours that differ by less are alike to the census
 CLEAN_STEP, CALM_STEP = 2.0, 1.5  # cost of a step of the census; of calm plates less, where more of its answers are chance
 AGAIN_PULL, AGAIN_LIMIT = 4.0, 16.0  # of grainy plates' second look, to what both eyes said at the first
@@ -237,7 +236,7 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     exhaustive : eight directions of SGBM in place of three; slower, and much more memory: three where that would be more than about 2 GB.
     guided     : grainy and plain plates are matched at half the size, too, for where the full size finds nothing sure.
     led        : by SGBM at all; without it a quarter of the time is saved, and more of a wall that repeats is found a period off.
-    What repeats and was found a period off is moved (docs/decisions/0062-walls-that-repeat.md).  Of clean plates, plain ground on which SGBM is
+    What repeats and was found a period off is moved (docs/decisions/0062-walls-that-repeat.md).  Plain ground on which SGBM is
     lost is put on planes (docs/decisions/0065-plain-walls.md).
     """
     noise = proxy.noise()
@@ -274,11 +273,10 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
         as_matched = left
         left, right = _on_rims(left_grey, right_grey, left, right)
         mended = np.isfinite(left) & (left != as_matched)
-    if calm is proxy and own is not None:
-        bare = plain_ground(proxy.left, AS_IF_NOISE)
+    if own is not None:
+        bare = plain_ground(calm.left, max(AS_IF_NOISE, noise))
         if np.mean(bare & np.isnan(own)) >= WALLS_LOST:
-            grain2 = sum(max(grain, LEAST_GRAIN) ** 2 for grain in proxy.grains)
-            left, right = matched_on_walls(proxy, bare, everywhere(left), (left, right), grain2=grain2)
+            left, right = matched_on_walls(proxy, bare, everywhere(left), (left, right), grainy=calm is not proxy)
     return Match(left=left, right=right, dense=everywhere(left), calm=calm.left, on_rims=mended, led=own)
 
 

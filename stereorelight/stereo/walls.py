@@ -1,6 +1,6 @@
-"""Plain ground in clean pictures lies on the planes that most of it was matched on.
+"""Plain ground lies on the planes that most of it was matched on.
 
-In: a clean pair in grey and the disparity of its left eye.  Out: the disparity with plain ground put on planes.
+In: a pair and the disparity of its left eye.  Out: the disparity with plain ground put on planes.
 A bare wall says nothing to match by: what is found there is what its grain happens to look like, patch by patch, and beside an outline what
 stands before it.  But most patches are right, or nearly, and no surface jumps where the picture has no edge.  So each piece of plain ground
 is offered the few planes that most of it, and of what lies beside it, was matched on; and a pixel takes the first of them that the two
@@ -32,9 +32,11 @@ ALIKE_PX = 0.5  # mean distance of planes that are one
 AROUND_PX = 12.0  # over which the pictures are asked
 MEAN_PX = 3.0  # over which even differences of brightness are no evidence
 OBJECTS = 0.25  # of what is usually left between the pictures: so much may a plane leave more than what was matched, which chose the least
+GRAINY_OBJECTS = 0.04  # the same under grain, which is most of what is left: more would be the surface's own
 LATER = 0.2  # of it, that each later plane must leave less
 UNKNOWN = 0.6  # more than usual, where the eyes do not agree or do not both see: any plane that is liked better will do
 FEW = 0.05  # share of the ground about a pixel that both eyes see, by which nothing is told
+LEAST_GRAIN = 0.5  # grey levels
 HIDDEN_WINDOW = (1, 5)  # beside hidden ground the other eye is not asked either
 
 
@@ -140,13 +142,14 @@ def _asked(left: Float32, right: Float32, ground: Bool, disparity: Float32) -> A
     return Asked(left_over=total / (told + few), told=told, hidden=hidden)
 
 
-def on_walls(proxy: Proxy, plain: Bool, disparity: Float32, confirmed: Bool, *, grain2: float) -> tuple[Float32, Bool]:
+def on_walls(proxy: Proxy, plain: Bool, disparity: Float32, confirmed: Bool, *, grainy: bool) -> tuple[Float32, Bool]:
     """(H, W) px: the disparity of the left eye with plain ground on its planes; and where it was put on one.
 
-    proxy     : a clean pair.   plain: (H, W) where its left picture is.   disparity: (H, W) px, finite.
+    proxy     : the pair, with its grain.   plain: (H, W) where its left picture is.   disparity: (H, W) px, finite.
     confirmed : (H, W), the right eye says the same: only there a match speaks for a plane.
-    grain2    : variance of what grain alone leaves between the greys.
+    grainy    : there is more grain than matching bears.
     """
+    grain2 = sum(max(grain, LEAST_GRAIN) ** 2 for grain in proxy.grains)
     pieces = _pieces(plain, disparity, confirmed)
     offered = _offered(pieces)
     out, changed = disparity.copy(), np.zeros(disparity.shape, np.bool_)
@@ -164,7 +167,7 @@ def on_walls(proxy: Proxy, plain: Bool, disparity: Float32, confirmed: Bool, *, 
     was = asked(disparity)
     some = was.left_over[was.told > 0.5]
     usual = np.float32(max(float(np.median(some)) if some.size else 0.0, grain2))
-    least = grown(was.left_over / usual + np.float32(OBJECTS))
+    least = grown(was.left_over / usual + np.float32(GRAINY_OBJECTS if grainy else OBJECTS))
     least[was.hidden | ~confirmed | (grown(was.told) < FEW)] = 1 + UNKNOWN
     for k, planes in enumerate(offered):
         offers = np.isfinite(planes[:, 0])
@@ -180,13 +183,13 @@ def on_walls(proxy: Proxy, plain: Bool, disparity: Float32, confirmed: Bool, *, 
     return out, changed
 
 
-def matched_on_walls(proxy: Proxy, plain: Bool, dense: Float32, eyes: tuple[Float32, Float32], *, grain2: float) -> tuple[Float32, Float32]:
+def matched_on_walls(proxy: Proxy, plain: Bool, dense: Float32, eyes: tuple[Float32, Float32], *, grainy: bool) -> tuple[Float32, Float32]:
     """Both eyes' disparities, NaN where unmatched, with plain ground of the left one on its planes where the right eye sees it there, and NaN
     where it does not.
 
     eyes : the same as they were matched.   dense: the left one with a value everywhere.   The rest as `on_walls` takes it.
     """
-    found, changed = on_walls(proxy, plain, dense, consistent(*eyes), grain2=grain2)
+    found, changed = on_walls(proxy, plain, dense, consistent(*eyes), grainy=grainy)
     seen = changed & ~unseen(found)
     left = np.where(changed, np.where(seen, found, np.float32(np.nan)), eyes[0])
     return left, told_other(eyes[1], found, seen)
