@@ -276,7 +276,7 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
     if own is not None:
         bare = plain_ground(calm.left, max(AS_IF_NOISE, noise))
         if np.mean(bare & np.isnan(own)) >= WALLS_LOST:
-            left, right = matched_on_walls(proxy, bare, everywhere(left), (left, right), grainy=calm is not proxy)
+            left, right = matched_on_walls(proxy, bare, own, everywhere(left), (left, right), grainy=calm is not proxy)
     return Match(left=left, right=right, dense=everywhere(left), calm=calm.left, on_rims=mended, led=own)
 
 

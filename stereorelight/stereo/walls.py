@@ -24,9 +24,12 @@ from stereorelight.stereo.proxy import Proxy
 AS_IF_NOISE = 2.5  # grey levels: what a picture of so much noise would count as plain
 SMALLEST_SHARE, SMALLEST_PX, MOST_PIECES = 1 / 600, 300, 64  # of the picture: pieces of ground that are looked at
 SPOTS, GRID, FEWEST = 400, 60_000, 30  # pixels that speak for a piece, out of so many of the picture; fewer say nothing
+SURE_SHARE = 0.6  # of a piece on which two ways of matching agree
 PLANES, LEAST_SHARE = 2, 0.12  # of a piece, and what share of it lies on each
 OTHER_SHARE, OTHER_WORTH = 0.1, 0.3  # of a piece that lies on a plane from beside it, and what each pixel there adds
 ON_PX = 1.0  # how near its plane ground lies on it
+TRIES, FIRST_PX, THEN_PX = 12, 2.0, 1.0  # rounds of the robust fit of a bowl, and how far off counts a quarter in either half of them
+BENDS, MOST_PX = 0.87, 2.0  # mean distance from the bowl over that from the planes, each no more than so many px, by which ground bends
 OFFERED = 3  # planes to a piece
 ALIKE_PX = 0.5  # mean distance of planes that are one
 AROUND_PX = 12.0  # over which the pictures are asked
@@ -89,15 +92,32 @@ def _own_planes(spots: Float64) -> list[tuple[Float64, float]]:
     return found
 
 
-def _offered(pieces: Pieces) -> Float32:
-    """(OFFERED, n, 3): to each piece its own planes and those of what lies beside it, by how much ground lies on them; NaN where there are fewer."""
+def _bends(spots: Float64, planes: list[Float64]) -> bool:
+    """Whether a bowl says more of spots than their planes do: of a face or a sleeve, and not of a wall and its corner."""
+    x, y, d = spots
+    u, v = (x - x.mean()) / (x.std() + 1), (y - y.mean()) / (y.std() + 1)
+    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v])
+    weight, off = np.ones_like(d), d
+    for k in range(TRIES):
+        bowl = np.linalg.solve(terms * weight @ terms.T + 1e-6 * np.eye(6), terms * weight @ d)
+        off = np.abs(bowl @ terms - d)
+        weight = 1 / (1 + (off / (FIRST_PX if 2 * k < TRIES else THEN_PX)) ** 2) ** 2
+    nearest = off_planes(np.array(planes), spots).min(axis=0)
+    return bool(np.minimum(off, MOST_PX).mean() < BENDS * np.minimum(nearest, MOST_PX).mean())
+
+
+def _offered(pieces: Pieces, lost: Bool) -> Float32:
+    """(OFFERED, n, 3): to each piece that is `lost` (n,) its own planes and those of what lies beside it, by how much ground lies on them; NaN
+    where there are fewer."""
     n = len(pieces.area)
     own = [_own_planes(spots) for spots in pieces.spots]
+    flat = [bool(planes) and not _bends(spots, [plane for plane, _ in planes]) for planes, spots in zip(own, pieces.spots, strict=True)]
+    own = [planes if level else [] for planes, level in zip(own, flat, strict=True)]
     beside = pieces_beside(pieces.label, n)
     offered = np.full((OFFERED, n, 3), np.nan, np.float32)
     for k in range(1, n):
         spots = pieces.spots[k]
-        if spots.shape[1] < FEWEST:
+        if not lost[k] or not flat[k]:
             continue
         planes, elsewhere = [], []
         for j in (k, *sorted(beside[k])):
@@ -142,16 +162,21 @@ def _asked(left: Float32, right: Float32, ground: Bool, disparity: Float32) -> A
     return Asked(left_over=total / (told + few), told=told, hidden=hidden)
 
 
-def on_walls(proxy: Proxy, plain: Bool, disparity: Float32, confirmed: Bool, *, grainy: bool) -> tuple[Float32, Bool]:
+def on_walls(proxy: Proxy, plain: Bool, led: Float32, disparity: Float32, confirmed: Bool, *, grainy: bool) -> tuple[Float32, Bool]:
     """(H, W) px: the disparity of the left eye with plain ground on its planes; and where it was put on one.
 
     proxy     : the pair, with its grain.   plain: (H, W) where its left picture is.   disparity: (H, W) px, finite.
+    led       : (H, W) px, what semi-global matching says by itself, NaN where it says nothing: ground on which both agree needs no plane.
     confirmed : (H, W), the right eye says the same: only there a match speaks for a plane.
     grainy    : there is more grain than matching bears.
     """
     grain2 = sum(max(grain, LEAST_GRAIN) ** 2 for grain in proxy.grains)
     pieces = _pieces(plain, disparity, confirmed)
-    offered = _offered(pieces)
+    n = len(pieces.area)
+    with np.errstate(invalid="ignore"):
+        agrees = (np.abs(led - disparity) <= ON_PX) & confirmed
+    lost = np.bincount(pieces.label[agrees], minlength=n) < SURE_SHARE * pieces.area
+    offered = _offered(pieces, lost)
     out, changed = disparity.copy(), np.zeros(disparity.shape, np.bool_)
     if not np.isfinite(offered).any():
         return out, changed
@@ -183,13 +208,15 @@ def on_walls(proxy: Proxy, plain: Bool, disparity: Float32, confirmed: Bool, *, 
     return out, changed
 
 
-def matched_on_walls(proxy: Proxy, plain: Bool, dense: Float32, eyes: tuple[Float32, Float32], *, grainy: bool) -> tuple[Float32, Float32]:
+def matched_on_walls(
+    proxy: Proxy, plain: Bool, led: Float32, dense: Float32, eyes: tuple[Float32, Float32], *, grainy: bool
+) -> tuple[Float32, Float32]:
     """Both eyes' disparities, NaN where unmatched, with plain ground of the left one on its planes where the right eye sees it there, and NaN
     where it does not.
 
     eyes : the same as they were matched.   dense: the left one with a value everywhere.   The rest as `on_walls` takes it.
     """
-    found, changed = on_walls(proxy, plain, dense, consistent(*eyes), grainy=grainy)
+    found, changed = on_walls(proxy, plain, led, dense, consistent(*eyes), grainy=grainy)
     seen = changed & ~unseen(found)
     left = np.where(changed, np.where(seen, found, np.float32(np.nan)), eyes[0])
     return left, told_other(eyes[1], found, seen)
