@@ -29,6 +29,7 @@ from stereorelight.engine.pyramid import doubled, halved
 from stereorelight.engine.refine import blended, robust_planes
 from stereorelight.engine.rows import at_once
 from stereorelight.engine.windows import Seen
+from stereorelight.stereo.beyond import ISLAND_PX, without_islands
 from stereorelight.stereo.hints import on_matte_edge
 from stereorelight.stereo.match import without_speckles
 from stereorelight.stereo.median import median_5
@@ -337,7 +338,11 @@ def refine(
     calm = proxy.left if calm is None else calm
     fine = _from_rows_that_match(dense, proxy)
     sure = confirmed if known is None else confirmed & known
-    firm = np.isfinite(without_speckles(np.where(sure, fine, np.float32(np.nan)), effort.island_px)) if effort.island_px else sure
+    firm = sure
+    if effort.island_px:
+        matches = np.where(sure, fine, np.float32(np.nan))
+        firm, large = (np.isfinite(without_speckles(matches, smallest)) for smallest in (effort.island_px, ISLAND_PX))
+        firm = without_islands(firm, large, fine, calm)
     behind = background(fine, firm)
     # Hidden: what would be hidden if it were the background, so that a thin thing before a wall keeps its own value.
     # The median takes out streaks: a row whose nearest match is wrong.
