@@ -167,16 +167,17 @@ def test_rows_end_in_their_last_pixel() -> None:
 def test_believed_is_the_logistic_weighing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     hw = (4, 5)
-    c = rng.normal(size=14).astype(f4)
-    confirmed, agrees, rims = ((rng.random(hw) < 0.5).astype(f4) for _ in range(3))
-    near, flow_near, alone = (rng.random(hw).astype(f4) for _ in range(3))
+    c = rng.normal(size=17).astype(f4)
+    confirmed, agrees, rims, walls = ((rng.random(hw) < 0.5).astype(f4) for _ in range(4))
+    near, flow_near, alone, led = (rng.random(hw).astype(f4) for _ in range(4))
     spread, sigma, misfit, texture, uneven = (rng.gamma(2, 3, hw).astype(f4) for _ in range(5))
     edge = np.minimum(spread, 6) / 6
     t = c[0] + c[1] * confirmed + c[2] * agrees + c[3] * edge + c[4] * np.log(np.maximum(sigma, 1e-3) / 0.03)
     t = t + c[5] * near + c[6] * flow_near + c[7] * edge * near + c[8] * edge * flow_near + c[9] * np.log1p(misfit) + c[10] * alone
     t = t + c[11] * np.log(0.1 + texture) + c[12] * np.log(0.02 + uneven) + c[13] * rims
+    t = t + c[14] * np.log(0.1 + led) + c[15] * walls + c[16] * near * np.log(0.1 + led)
     p = 1 / (1 + np.exp(-t))
-    out = believed(c, confirmed, agrees, near, flow_near, spread, sigma, misfit, alone, texture, uneven, rims, floors=(0.6, 0.3))
+    out = believed(c, confirmed, agrees, near, flow_near, spread, sigma, misfit, alone, texture, uneven, rims, led, walls, floors=(0.6, 0.3))
     floor2 = (0.6 - 0.3 * alone) ** 2
     assert out == pytest.approx(np.sqrt((p**2 + floor2) / (1 + floor2)), abs=1e-5)
     assert out.min() >= 0.28

@@ -8,7 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from stereorelight.stereo.confidence import Evidence, confidence_from_evidence, evidence, floors, sigma_from_evidence, texture, uneven
+from stereorelight.stereo.confidence import (
+    FEW_LED,
+    Evidence,
+    confidence_from_evidence,
+    evidence,
+    floors,
+    led_share,
+    sigma_from_evidence,
+    texture,
+    uneven,
+)
 from stereorelight.stereo.depth import matched, refined_with_evidence
 from stereorelight.stereo.flow import flow_disparity
 from stereorelight.stereo.match import search_range
@@ -50,10 +60,23 @@ def test_a_plane_is_even_and_a_stair_is_not() -> None:
     assert 0.3 < np.median(uneven(stair.astype(np.float32))[inside]) < 0.6
 
 
-@pytest.mark.parametrize("worse", [{"texture": full(0.05)}, {"uneven": full(1)}, {"lost": 0.3}, {"alone": full(1)}, {"misfit": full(30)}])
+@pytest.mark.parametrize(
+    "worse", [{"texture": full(0.05)}, {"uneven": full(1)}, {"led": full(0.2)}, {"alone": full(1)}, {"misfit": full(30)}, {"on_walls": full(1)}]
+)
 def test_each_evidence_against_makes_less_sure(worse) -> None:
     sure, less = (float(confidence_from_evidence(e)[0, 0]) for e in (usual(), replace(usual(), **worse)))
     assert less < sure - 0.005
+
+
+def test_two_ways_of_matching_that_agree_nearby_are_counted_where_both_eyes_see() -> None:
+    y, x = np.mgrid[: HW[0], : HW[1]].astype(np.float32)
+    speaks = x < HW[1] // 2
+    led = np.where(y % 2 == 0, np.float32(5.5), np.float32(8))
+    led[y % 4 == 1] = np.nan
+    share = led_share(led, full(5), speaks)
+    assert share[20:-20, : HW[1] // 2 - 16] == pytest.approx((0.5 + FEW_LED) / (1 + FEW_LED), abs=0.04)
+    assert share[:, HW[1] // 2 + 16 :] == pytest.approx(1)  # where nothing speaks nothing is told
+    assert np.array_equal(confidence_from_evidence(replace(usual(), led=full(1))), confidence_from_evidence(usual()))
 
 
 def test_where_matching_is_lost_a_guess_is_told_less() -> None:

@@ -19,15 +19,18 @@ _leaf = kernel(fastmath=False, noalias=True)
 
 
 @_leaf
-def _believed_row(c, floors, flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, texture, uneven, on_rims, out):
+def _believed_row(
+    c, floors, flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, texture, uneven, on_rims, led, on_walls, out
+):
     floor, lower = floors
     for x in range(out.size):
         t = c[0] + c[1] * confirmed[x] + c[2] * flow_agrees[x]
         edge = min(spread[x], f4(EDGE_PX)) * f4(1 / EDGE_PX)
         t += edge * (c[3] + c[7] * confirmed_nearby[x] + c[8] * flow_nearby[x])
-        t += c[5] * confirmed_nearby[x] + c[6] * flow_nearby[x] + c[10] * alone[x] + c[13] * on_rims[x]
+        t += c[5] * confirmed_nearby[x] + c[6] * flow_nearby[x] + c[10] * alone[x] + c[13] * on_rims[x] + c[15] * on_walls[x]
         logs = c[4] * log2(max(sigma[x], f4(1e-3)) * f4(1 / 0.03)) + c[9] * log2(f4(1) + misfit[x])
         logs += c[11] * log2(f4(0.1) + texture[x]) + c[12] * log2(f4(0.02) + uneven[x])
+        logs += (c[14] + c[16] * confirmed_nearby[x]) * log2(f4(0.1) + led[x])
         p = f4(1) / (f4(1) + exp2(min(-logs - t / LN2, MOST_ODDS)))
         least = floor + alone[x] * (lower - floor)
         out[x] = np.sqrt((p * p + least * least) / (f4(1) + least * least))
@@ -35,12 +38,29 @@ def _believed_row(c, floors, flow_agrees, confirmed, flow_nearby, confirmed_near
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _believed(
-    first, end, c, floors, flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, texture, uneven, on_rims, out
+    first,
+    end,
+    c,
+    floors,
+    flow_agrees,
+    confirmed,
+    flow_nearby,
+    confirmed_nearby,
+    spread,
+    sigma,
+    misfit,
+    alone,
+    texture,
+    uneven,
+    on_rims,
+    led,
+    on_walls,
+    out,
 ):
     for y in range(first, end):
         _believed_row(
             c, floors, flow_agrees[y], confirmed[y], flow_nearby[y], confirmed_nearby[y], spread[y], sigma[y], misfit[y], alone[y], texture[y],
-            uneven[y], on_rims[y], out[y],
+            uneven[y], on_rims[y], led[y], on_walls[y], out[y],
         )  # fmt: skip
 
 
@@ -57,6 +77,8 @@ def believed(
     texture: Float32,
     uneven: Float32,
     on_rims: Float32,
+    led: Float32,
+    on_walls: Float32,
     *,
     floors: tuple[float, float],
 ) -> Float32:
@@ -65,7 +87,7 @@ def believed(
     floors : where `alone` is 0 and where it is 1.
     """
     out = np.empty_like(spread)
-    of_pixels = (flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, texture, uneven, on_rims)
+    of_pixels = (flow_agrees, confirmed, flow_nearby, confirmed_nearby, spread, sigma, misfit, alone, texture, uneven, on_rims, led, on_walls)
     given = (coefficients, (f4(floors[0]), f4(floors[1])), *of_pixels, out)
     in_pieces(lambda first, end: _believed(first, end, *given), spread.shape[0])
     return out

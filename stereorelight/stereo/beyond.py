@@ -41,8 +41,7 @@ def without_islands(firm: Bool, large: Bool, disparity: Float32, picture: UInt8)
     all_of, found_of = np.bincount(of, minlength=n), np.bincount(of, found, n)
     own = picture[y, x].astype(np.float32)
     off = np.stack([np.bincount(of, found * (own[:, c] - ground[:, c]), n) for c in range(own.shape[1])], axis=1)
-    off /= np.maximum(found_of, 1)[:, None]
-    chance = (2 * found_of > all_of) & (np.abs(off).max(axis=1) < ALIKE)
+    chance = (2 * found_of > all_of) & (np.abs(off).max(axis=1) < ALIKE * np.maximum(found_of, 1))
     out = firm.copy()
     out[y, x] = ~chance[of]
     return out

@@ -22,6 +22,7 @@ from stereorelight.engine.occlusion import lands_on_plate
 from stereorelight.engine.photometric import brightness_residual
 from stereorelight.engine.rows import at_once
 from stereorelight.passes import Flag
+from stereorelight.stereo.match import Match
 from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import Refined
 
@@ -41,18 +42,23 @@ EVIDENCE = (
     "log uneven",
     "log lost",
     "on rims",
+    "log led",
+    "on walls",
+    "confirmed nearby x log led",
 )
-COEFFICIENTS = np.array([1.09, 0.934, 0.003, -0.824, -1.327, 0.0, 0.694, -0.218, -1.049, -0.289, -2.63, 0.15, -0.292, -0.651, 2.35], dtype=np.float32)
+COEFFICIENTS = np.array(
+    [2.8, 0.973, 0.0, -0.62, -1.36, 0.761, 0.245, -1.034, -0.756, -0.271, -0.6, 0.15, -0.308, 0.0, 2.35, 1.478, -1.177, 0.706], dtype=np.float32
+)
 # Of half-size pictures without a second opinion, their lengths in pixels of the plate; none of their ground lies on rims.
 DRAFT_COEFFICIENTS = np.array(
-    [0.062, 0.421, 0.421, -0.928, -1.274, 0.99, 1.388, -0.215, -0.575, -0.257, -0.883, 0.498, -0.379, -0.069, 0.0], dtype=np.float32
+    [0.062, 0.421, 0.421, -0.928, -1.274, 0.99, 1.388, -0.215, -0.575, -0.257, -0.883, 0.498, -0.379, -0.069, 0.0, 0.0, 0.0, 0.0], dtype=np.float32
 )
 # By which ground of which nothing is known but what lies beside it is told right; where the eyes share nothing; and the share that is lost by
 # which both are less by a factor of e.
 FLOORS, DRAFT_FLOORS = (0.52, 0.18, 0.5), (0.7, 0.22, 0.4)
 # log(standard deviation / 0.03 px) as always, log of the refinement's own, log of doubt, log of how far errors hang together, and what is missing
 # of `SURE` where the eyes share nothing: a match that is wrong there is wrong by any amount.
-SIGMA_COEFFICIENTS = (0.786, 0.889, 0.623, 0.311, 3.204)
+SIGMA_COEFFICIENTS = (0.917, 0.847, 0.705, 0.267, 2.954)
 SURE = 0.8
 MOST_SIGMA_PX = 16.0
 WINDOW = (7, 7)
@@ -65,6 +71,7 @@ ENOUGH_SHARED = 0.5  # correlation from which eyes count as showing the same
 USUAL_SIGMA_PX, USUAL_DOUBT = 0.03, 0.02
 USUALLY_CLUMPED, LEAST_CLUMPED = 0.5, 0.05
 TEXTURE = (5, 5)
+LED, FEW_LED = (31, 31), 0.1  # and the share of it by which nothing else is told where less than that speaks
 UNEVEN = 5  # quarter-size px, odd
 LEAST_LOST = 0.05  # of what both eyes see: outlines are lost in every pair
 USUAL_SHARE = 0.125  # of the logarithm of the usual misfit; a fourth is what it makes sigma wider by, were it all noise
@@ -84,6 +91,8 @@ class Evidence:
     uneven  : standard deviation of the disparity about a plane, over 20 x 20, px.
     lost    : one number, the share of what both eyes see where the right eye does not confirm the match.
     on_rims : 1 on plain ground that took the plane of the rims about it, else 0; None: there is none.
+    led     : the share of what both eyes see over `LED` on which semi-global matching by itself says the same; None: it was not asked.
+    on_walls: 1 on plain ground that was put on a plane, else 0; None: none was.
     usual   : one number, at least 1: the misfit in the middle of those that are confirmed.
     """
 
@@ -100,6 +109,8 @@ class Evidence:
     uneven: Float32
     lost: float
     on_rims: Float32 | None = None
+    led: Float32 | None = None
+    on_walls: Float32 | None = None
     usual: float = 1.0
 
     def in_pixels(self, px: float) -> Evidence:
@@ -150,12 +161,23 @@ def alone(left: Float32, right: Float32, grain: float) -> Float32:
     return cv2.resize(less, (left.shape[1], left.shape[0]), interpolation=cv2.INTER_LINEAR)
 
 
+def led_share(led: Float32, disparity: Float32, speaks: Bool) -> Float32:
+    """(H, W): the share of what `speaks` (H, W) over `LED` on which another matcher's `led`, NaN where it says nothing, is the same to 1 px.
+
+    On ground with nothing to match by one matcher finds this and another that, and each may be as smooth and as well confirmed as a right one.
+    """
+    with np.errstate(invalid="ignore"):
+        agrees = (np.abs(led - disparity) <= 1) & speaks
+    same, all_of = (cv2.blur(a.astype(np.float32), LED) for a in (agrees, speaks))
+    return np.divide(same + np.float32(FEW_LED), all_of + np.float32(FEW_LED), out=same)
+
+
 def evidence(
-    proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | None, ignore: Bool | None = None, on_rims: Bool | None = None
+    proxy: Proxy, refined: Refined, confirmed: Bool, flow: Float32 | None, found: Match | None = None, ignore: Bool | None = None
 ) -> Evidence:
     """Gather the evidence; `flow` None counts as a second opinion that agrees wherever the right eye does.
 
-    ignore : (H, W), ground that no match was asked of, and that none is missed on.   on_rims : `Match`'s.
+    found  : what the matching said, where it was ours.   ignore: (H, W), ground that no match was asked of, and that none is missed on.
     """
     d = refined.disparity
     residual = brightness_residual(proxy.left_grey, proxy.right_grey, d)[0]
@@ -167,7 +189,7 @@ def evidence(
             agrees = sure if flow is None else (np.abs(flow - d) <= 1).astype(np.float32)
         return agrees, cv2.blur(sure, CONFIRMED_NEARBY), cv2.blur(agrees, FLOW_NEARBY), cv2.dilate(d, near) - cv2.erode(d, near), uneven(d)
 
-    def seen() -> tuple[Float32, Float32, Float32, float, float]:
+    def seen() -> tuple[Float32, Float32, Float32, float, float, Float32 | None]:
         mean = cv2.blur(residual, MISFIT)
         left_over = np.maximum(cv2.blur(residual * residual, MISFIT) - mean * mean, np.float32(0))
         grain = max(proxy.grains[0], LEAST_GRAIN)
@@ -178,9 +200,10 @@ def evidence(
         misfit = left_over / np.float32(2 * grain * grain)
         some = misfit[::4, ::4][(asked & confirmed)[::4, ::4]]
         usual = max(float(np.median(some)), 1.0) if some.size else 1.0
-        return misfit, alone(proxy.left_grey, other, grain), texture(proxy.left_grey, grain), lost, usual
+        led = None if found is None or found.led is None else led_share(found.led, d, speaks)
+        return misfit, alone(proxy.left_grey, other, grain), texture(proxy.left_grey, grain), lost, usual, led
 
-    (agrees, confirmed_nearby, agrees_nearby, spread, rough), (misfit, lonely, shown, lost, usual) = at_once(said, seen)
+    (agrees, confirmed_nearby, agrees_nearby, spread, rough), (misfit, lonely, shown, lost, usual, led) = at_once(said, seen)
     return Evidence(
         confirmed=sure,
         flow_agrees=agrees,
@@ -194,7 +217,9 @@ def evidence(
         texture=shown,
         uneven=rough,
         lost=lost,
-        on_rims=None if on_rims is None else on_rims.astype(np.float32),
+        on_rims=None if found is None or found.on_rims is None else found.on_rims.astype(np.float32),
+        on_walls=None if found is None or found.on_walls is None else found.on_walls.astype(np.float32),
+        led=led,
         usual=usual,
     )
 
@@ -210,9 +235,10 @@ def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS, 
     )
     weights = np.concatenate([[always], coefficients[1:13], coefficients[14:]]).astype(np.float32)
     nearby = (e.confirmed_nearby, e.flow_agrees_nearby)
-    on_rims = np.zeros_like(e.sigma) if e.on_rims is None else e.on_rims
+    on_rims, on_walls = (np.zeros_like(e.sigma) if a is None else a for a in (e.on_rims, e.on_walls))
+    led = np.ones_like(e.sigma) if e.led is None else e.led
     misfit = e.misfit if e.usual == 1 else e.misfit / np.float32(e.usual)
-    given = (e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, misfit, e.alone, e.texture, e.uneven, on_rims)
+    given = (e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, misfit, e.alone, e.texture, e.uneven, on_rims, led, on_walls)
     return believed(weights, *given, floors=floors(e.lost, least))
 
 

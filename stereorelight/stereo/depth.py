@@ -114,7 +114,7 @@ def refined_with_evidence(
         subject=subject, ignore=ignore,
     )  # fmt: skip
     confirmed &= ~refined.unseen  # what matched by chance where nothing is to be seen
-    return refined, confirmed, belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity, ignore, found.on_rims)
+    return refined, confirmed, belief.evidence(proxy, refined, confirmed, None if flow is None else flow.disparity, found, ignore)
 
 
 def _of_pair(

@@ -17,7 +17,7 @@ from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.camera import RectifiedRig
 from stereorelight.engine.occlusion import beside, completed, consistent
 from stereorelight.engine.rows import at_once
-from stereorelight.engine.sixteenths import NOWHERE, as_pixels, coded, kept
+from stereorelight.engine.sixteenths import as_pixels
 from stereorelight.engine.strips import LEAST_PX
 from stereorelight.engine.support import supported
 from stereorelight.errors import PlateError
@@ -28,6 +28,7 @@ from stereorelight.stereo.periods import moved
 from stereorelight.stereo.plains import carried_on, plain_ground
 from stereorelight.stereo.proxy import CALM, Proxy, grey_of
 from stereorelight.stereo.rims import on_rims
+from stereorelight.stereo.speckles import without_speckles
 from stereorelight.stereo.walls import AS_IF_NOISE, matched_on_walls
 
 COARSE_WIDTH = 160  # pixels of the picture in which the range is looked for
@@ -91,6 +92,7 @@ class Match:
     calm        : the left picture with less grain, where there was too much of it.
     dense       : the left one with a value everywhere.
     on_rims     : pixels of the left one that took the plane of the rims about them; None where there are none.
+    on_walls    : pixels of the left one that were put on the plane of plain ground; None where none were.
     led         : what semi-global matching alone says of the left eye, NaN where it says nothing; None where it was not asked.
     """
 
@@ -99,6 +101,7 @@ class Match:
     dense: Float32
     calm: UInt8 | None = None
     on_rims: Bool | None = None
+    on_walls: Bool | None = None
     led: Float32 | None = None
 
 
@@ -167,13 +170,6 @@ def on_plates(left: Float32, right: Float32, proxy: Proxy) -> tuple[Float32, Flo
     return of(left, proxy.left_known), of(right, proxy.right_known)
 
 
-def without_speckles(disparity: Float32, smallest_px: int) -> Float32:
-    """`disparity`, NaN on islands of fewer pixels."""
-    sixteenths = coded(disparity)
-    cv2.filterSpeckles(sixteenths, NOWHERE, smallest_px, 16)
-    return kept(disparity, sixteenths)
-
-
 def _right_px(matcher: cv2.StereoSGBM, proxy: Proxy, search: DisparityRange) -> Float32:
     raw = _raw(cv2.ximgproc.createRightMatcher(matcher), proxy.right, proxy.left, before=max(0, -search.low), after=max(0, search.high))
     return as_pixels(raw, 1 - search.high, sign=-1)  # the right matcher counts x_right - x_left
@@ -185,9 +181,7 @@ def _plain(grey: Float32, most: float, window: tuple[int, int]) -> Bool:
     return cv2.blur(steep * steep, window) < most**2
 
 
-def _guide(
-    left: Float32, matcher: cv2.StereoSGBM, loose: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: DisparityRange
-) -> tuple[Float32, bool]:
+def _guide(left: Float32, matcher: cv2.StereoSGBM, loose: cv2.StereoSGBM, proxy: Proxy, calm: Proxy, search: DisparityRange) -> tuple[Float32, bool]:
     """What leads adaptive support: SGBM's left answer, and that of half the size under grain or where much of the picture is plain; and
     whether that is what it is, and the picture clean.
 
@@ -273,11 +267,12 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
         as_matched = left
         left, right = _on_rims(left_grey, right_grey, left, right)
         mended = np.isfinite(left) & (left != as_matched)
+    walls = None
     if own is not None:
         bare = plain_ground(calm.left, max(AS_IF_NOISE, noise))
         if np.mean(bare & np.isnan(own)) >= WALLS_LOST:
-            left, right = matched_on_walls(proxy, bare, own, everywhere(left), (left, right), grainy=calm is not proxy)
-    return Match(left=left, right=right, dense=everywhere(left), calm=calm.left, on_rims=mended, led=own)
+            left, right, walls = matched_on_walls(proxy, bare, own, everywhere(left), (left, right), grainy=calm is not proxy)
+    return Match(left=left, right=right, dense=everywhere(left), calm=calm.left, on_rims=mended, on_walls=walls, led=own)
 
 
 def _coarse(proxy: Proxy, wide_px: int = COARSE_WIDTH) -> tuple[Proxy, float]:

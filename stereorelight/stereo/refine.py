@@ -31,9 +31,9 @@ from stereorelight.engine.rows import at_once
 from stereorelight.engine.windows import Seen
 from stereorelight.stereo.beyond import ISLAND_PX, without_islands
 from stereorelight.stereo.hints import on_matte_edge
-from stereorelight.stereo.match import without_speckles
 from stereorelight.stereo.median import median_5
 from stereorelight.stereo.proxy import Proxy
+from stereorelight.stereo.speckles import without_speckles
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

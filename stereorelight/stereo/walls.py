@@ -37,6 +37,7 @@ MEAN_PX = 3.0  # over which even differences of brightness are no evidence
 OBJECTS = 0.25  # of what is usually left between the pictures: so much may a plane leave more than what was matched, which chose the least
 GRAINY_OBJECTS = 0.04  # the same under grain, which is most of what is left: more would be the surface's own
 LATER = 0.2  # of it, that each later plane must leave less
+MATCHED = 0.4  # of it, that a plane may leave more where all that lies about a pixel was matched on it: so a wall has its corner
 UNKNOWN = 0.6  # more than usual, where the eyes do not agree or do not both see: any plane that is liked better will do
 FEW = 0.05  # share of the ground about a pixel that both eyes see, by which nothing is told
 LEAST_GRAIN = 0.5  # grey levels
@@ -200,7 +201,10 @@ def on_walls(proxy: Proxy, plain: Bool, led: Float32, disparity: Float32, confir
             break
         there = planar(pieces.label, planes, disparity)
         now = asked(there)
-        worth = grown(np.where(now.told < FEW, np.float32(1), now.left_over / usual)) + np.float32(LATER * k)
+        with np.errstate(invalid="ignore"):
+            lie = ground & confirmed & (np.abs(there - disparity) <= ON_PX)
+        here = cv2.GaussianBlur(cv2.resize(lie.astype(np.float32), now.told.shape[::-1], interpolation=cv2.INTER_AREA), (0, 0), AROUND_PX / 4)
+        worth = grown(np.where(now.told < FEW, np.float32(1), now.left_over / usual) - np.float32(MATCHED) * here) + np.float32(LATER * k)
         takes = offers[pieces.label] & (worth < least)
         np.copyto(least, worth, where=takes)
         np.copyto(out, there, where=takes)
@@ -210,13 +214,13 @@ def on_walls(proxy: Proxy, plain: Bool, led: Float32, disparity: Float32, confir
 
 def matched_on_walls(
     proxy: Proxy, plain: Bool, led: Float32, dense: Float32, eyes: tuple[Float32, Float32], *, grainy: bool
-) -> tuple[Float32, Float32]:
+) -> tuple[Float32, Float32, Bool]:
     """Both eyes' disparities, NaN where unmatched, with plain ground of the left one on its planes where the right eye sees it there, and NaN
-    where it does not.
+    where it does not; and where it was put on one.
 
     eyes : the same as they were matched.   dense: the left one with a value everywhere.   The rest as `on_walls` takes it.
     """
     found, changed = on_walls(proxy, plain, led, dense, consistent(*eyes), grainy=grainy)
     seen = changed & ~unseen(found)
     left = np.where(changed, np.where(seen, found, np.float32(np.nan)), eyes[0])
-    return left, told_other(eyes[1], found, seen)
+    return left, told_other(eyes[1], found, seen), changed

@@ -27,7 +27,7 @@ SIGMA_FINE_GAIN, SIGMA_COARSE_GAIN = 0.82, 1.05
 # Of depth that matching has smoothed, whose windows agree better than they are right: log(N_sigma, degrees) as always, log of the windows' own
 # disagreement, radians, log of Z_sigma over a pixel's width, log of how far the surface faces the camera (one, as geometry has it: the fit left
 # free takes too little of it for floors), and log of the windows' half-width.
-FITTED = (4.697, 0.527, 0.651, 1.0, -0.869)
+FITTED = (4.713, 0.5, 0.694, 1.0, -0.868)
 FITTED_LEAST_DEG = 0.25  # joins it in square: renders are truer than any rig, whose rows and lenses tilt a surface by as much
 FITTED_MOST_DEG = 55.0  # normals of which nothing is known are off by no more than this, two times in three
 LEAST_ERROR = 1e-4  # radians, and metres per metre

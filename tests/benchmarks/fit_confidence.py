@@ -1,11 +1,11 @@
 """Fits what depth says of itself: confidence and `disparity_sigma` (stereo/confidence.py) and `N_sigma` (surface/normals.py).
 
 Run:  python tests/benchmarks/fit_confidence.py [--cache DIR] [--pixels N] [--check]
-In: pairs with exact answers of three families that count alike: rendered SCENES, clean and with GRAINS of full range on gamma-coded plates;
-photographs on planes and balls under grain of linear light (bench_grain.py); and plain things between strong rims, blurred and compressed
-(tests/plain_scenes.py).  N pixels of each pair, drawn at random.  Out, printed: the three sets of coefficients, ready to be put into those
+In: pairs with exact answers of four families: rendered SCENES, clean and with GRAINS of full range on gamma-coded plates; photographs on planes
+and balls under grain of linear light (bench_grain.py); bare ROOMS (bench_plain_rooms.py); and plain things between strong rims, blurred and
+compressed (tests/plain_scenes.py).  N pixels of each pair, drawn at random.  Out, printed: the three sets of coefficients, ready to be put into those
 modules; how true they are on the pairs of the fit; how true on each family when it is left out; and on those that have no part in it
-(HELD_OUT, other photographs, Motorcycle and, where STEREORELIGHT_DATA holds them, real boards).  --check fits nothing and judges the
+(HELD_OUT, OTHER_ROOMS, other photographs, Motorcycle and, where STEREORELIGHT_DATA holds them, real boards).  --check fits nothing and judges the
 coefficients that stand.  --draft does the same for what a draft's half-size pictures say of themselves, confidence alone.
 
 Confidence: the likelihood of being within 1 px of truth, floors and all, with a ridge.  Standard deviations: regression of the 0.683 quantile
@@ -48,7 +48,7 @@ from stereorelight.surface.position import ray_slopes
 from stereorelight.synth.rigs import parallel_rig
 from stereorelight.threads import set_threads
 from tests import plain_scenes
-from tests.benchmarks import bench_grain
+from tests.benchmarks import bench_grain, bench_plain_rooms
 from tests.benchmarks.bench_depth import linear, pair_of_plates
 from tests.benchmarks.bench_depth_scenes import grained, rendered
 
@@ -59,12 +59,14 @@ GRAINS = (0.0, 0.01, 0.02)
 PHOTOGRAPHS, OTHER_PHOTOGRAPHS = range(1, 7), range(10, 14)
 PHOTOGRAPHED = (("clean", 1.0), ("add", 1.0), ("add", 0.25), ("both", 1.0), ("photon", 0.25))  # grain, and exposure
 OTHERWISE_PHOTOGRAPHED = (("clean", 1.0), ("add", 1.0), ("add", 0.25), ("photon", 1.0), ("photon", 0.25), ("both", 1.0), ("both", 0.25))
+ROOMS, OTHER_ROOMS, CONTRASTS = ("bust", "box", "sphere"), ("interior", "two_planes", "statue"), (0.01, 0.02, 0.04)
 PLAIN = (*range(14), *range(plain_scenes.FILLED, plain_scenes.FILLED + 10), *range(plain_scenes.LARGE, plain_scenes.LARGE + 30))
-WORTH = {"rendered": 3.75, "plain": 0.35}  # of a family beside the others: made-up boards are barer and worse compressed than what is shot
+WORTH = {"rendered": 4.0, "plain": 0.25}  # of a family beside the others: made-up boards are barer and worse compressed than what is shot
 # What only plain ground teaches, as a fit in which families counted alike had it, but half of what texture was worth there.
 KEPT = {"log texture": 0.15, "on rims": 2.35}
-FOR = {"confirmed", "flow agrees", "confirmed nearby", "flow agrees nearby", "log texture", "on rims"}  # never makes less sure
+FOR = {"confirmed", "flow agrees", "confirmed nearby", "flow agrees nearby", "log texture", "on rims", "log led"}  # never makes less sure
 AGAINST = {"edge nearby", "log sigma", "log misfit", "eyes share nothing", "log uneven", "log lost"}  # never makes surer
+AT_MOST = {"eyes share nothing": -0.6}  # grain that matches grain counts, however little that has to say beside the rest
 WITHIN = 0.683
 RIDGE = 1e-4  # on coefficients, per pixel: keeps those that say the same from running off against each other
 CLIP = 1e-4  # least error, px and degrees: nothing is told finer
@@ -173,6 +175,12 @@ def of_photographs(numbers: Sequence[int], kinds: Sequence[tuple[str, float]], p
             yield looked_at(f"photographs {number} {kind} x {exposure:g}", plates, rectified, truth, None, seen, pixels, **reach, draft=draft)
 
 
+def of_rooms(names: Sequence[str], pixels: int, cache: Path | None, *, draft: bool = False) -> Iterator[Pair]:
+    rectified = bench_plain_rooms.rig_of()
+    for room in bench_plain_rooms.rooms(names, CONTRASTS, cache=cache):
+        yield looked_at(f"rooms {room.name}", room.plates, rectified, room.truth, room.N, room.seen, pixels, draft=draft)
+
+
 def of_plain(numbers: Sequence[int], pixels: int, *, draft: bool = False) -> Iterator[Pair]:
     rectified = rectification(parallel_rig((plain_scenes.W, plain_scenes.H)))
     for number in numbers:
@@ -196,7 +204,8 @@ def of_real_boards(pixels: int, *, draft: bool = False) -> Iterator[Pair]:
 
 
 def confidence_evidence(e: belief.Evidence) -> np.ndarray:
-    """(H W, 15) in the order of `belief.EVIDENCE`."""
+    """(H W, 18) in the order of `belief.EVIDENCE`."""
+    log_led = np.log(0.1 + (np.ones_like(e.sigma) if e.led is None else e.led))
     edge = np.minimum(e.spread, 6) / 6
     log_sigma = np.log(np.maximum(e.sigma, 1e-3) / 0.03) - belief.USUAL_SHARE * np.log(e.usual)
     columns = (
@@ -204,6 +213,7 @@ def confidence_evidence(e: belief.Evidence) -> np.ndarray:
         edge * e.confirmed_nearby, edge * e.flow_agrees_nearby, np.log(1 + e.misfit / e.usual), e.alone, np.log(0.1 + e.texture),
         np.log(0.02 + e.uneven),
         np.full_like(edge, np.log(belief.LEAST_LOST + e.lost)), np.zeros_like(edge) if e.on_rims is None else e.on_rims,
+        log_led, np.zeros_like(edge) if e.on_walls is None else e.on_walls, e.confirmed_nearby * log_led,
     )  # fmt: skip
     return np.stack([c.ravel() for c in columns], axis=1).astype(np.float64)
 
@@ -231,10 +241,10 @@ def fitted_confidence(A: np.ndarray, floor2: np.ndarray, right: np.ndarray, weig
     def bounds(name: str) -> tuple[float | None, float | None]:
         if name in KEPT:
             return KEPT[name], KEPT[name]
-        return (0.0 if name in FOR else None), (0.0 if name in AGAINST else None)
+        return (0.0 if name in FOR else None), AT_MOST.get(name, 0.0 if name in AGAINST else None)
 
     limits = [bounds(name) for name in belief.EVIDENCE]
-    start = np.array([KEPT.get(name, 0.0) for name in belief.EVIDENCE])
+    start = np.array([KEPT.get(name, AT_MOST.get(name, 0.0)) for name in belief.EVIDENCE])
     found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 2000})
     print(f"confidence: log loss {found.fun:.5f}", flush=True)
     return found.x
@@ -367,6 +377,7 @@ def main() -> None:
     c = Coefficients(confidence=stands, sigma=belief.SIGMA_COEFFICIENTS, normals=surface.FITTED)
     pairs = list(of_scenes(SCENES, SIZES, GRAINS, asked.pixels, asked.cache, **draft))
     pairs += of_photographs(PHOTOGRAPHS, PHOTOGRAPHED, asked.pixels, **draft)
+    pairs += of_rooms(ROOMS, asked.pixels, asked.cache, **draft)
     pairs += of_plain(PLAIN, asked.pixels, **draft)
     families = sorted({p.family for p in pairs})
     if not asked.check:
@@ -383,6 +394,7 @@ def main() -> None:
     del pairs
     judge("rendered, no part in it", list(of_scenes(HELD_OUT, SIZES, GRAINS[:2], asked.pixels, asked.cache, **draft)), c, each=True)
     judge("photographs, no part in it", list(of_photographs(OTHER_PHOTOGRAPHS, OTHERWISE_PHOTOGRAPHED, asked.pixels, **draft)), c)
+    judge("rooms, no part in it", list(of_rooms(OTHER_ROOMS, asked.pixels, asked.cache, **draft)), c)
     judge("real boards", list(of_real_boards(asked.pixels, **draft)), c, each=True)
     for pair in of_motorcycle(GRAINS, 10**9, **draft):
         judge(pair.name, [pair], c)
