@@ -23,10 +23,15 @@ def without_islands(firm: Bool, large: Bool, disparity: Float32, picture: UInt8)
 
     large     : the part of `firm` that is no island of fewer than `ISLAND_PX`.   disparity: (H, W) px.   picture: (H, W, 3) of the same eye.
     """
-    y, x = np.nonzero(firm & ~large)
-    if not y.size:
-        return firm
-    width = firm.shape[1]
+    farthest = float(disparity[large].max(initial=0))  # columns into the left picture that the other eye's frame may begin
+    whole, width = firm, min(firm.shape[1], int(farthest) + 1 + REACH_PX + BESIDE + ACROSS)
+    firm, large, disparity = firm[:, :width], large[:, :width], disparity[:, :width]
+    small = firm & ~large
+    if not small[:, : int(np.ceil(min(farthest, width)))].any():
+        return whole
+    n, island = cv2.connectedComponents(small.view(np.uint8))
+    all_of = np.bincount(island.ravel(), minlength=n)
+    y, x = np.nonzero(small & (np.arange(width) < farthest))
     columns = x[:, None] + np.arange(REACH_PX)
     there = np.minimum(columns, width - 1)
     d = disparity[y[:, None], there]
@@ -36,12 +41,11 @@ def without_islands(firm: Bool, large: Bool, disparity: Float32, picture: UInt8)
     edge = x + nearer.argmax(axis=1)
     beside = np.minimum(edge[:, None] + BESIDE + np.arange(ACROSS), width - 1)
     ground = picture[y[:, None], beside].astype(np.float32).mean(axis=1)
-    n, island = cv2.connectedComponents((firm & ~large).view(np.uint8))
     of = island[y, x]
-    all_of, found_of = np.bincount(of, minlength=n), np.bincount(of, found, n)
+    found_of = np.bincount(of, found, n)
     own = picture[y, x].astype(np.float32)
     off = np.stack([np.bincount(of, found * (own[:, c] - ground[:, c]), n) for c in range(own.shape[1])], axis=1)
     chance = (2 * found_of > all_of) & (np.abs(off).max(axis=1) < ALIKE * np.maximum(found_of, 1))
-    out = firm.copy()
-    out[y, x] = ~chance[of]
+    out = whole.copy()
+    out[:, :width] &= ~chance[island]
     return out

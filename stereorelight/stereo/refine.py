@@ -341,7 +341,9 @@ def refine(
     firm = sure
     if effort.island_px:
         matches = np.where(sure, fine, np.float32(np.nan))
-        firm, large = (np.isfinite(without_speckles(matches, smallest)) for smallest in (effort.island_px, ISLAND_PX))
+        firm, large = at_once(
+            lambda: np.isfinite(without_speckles(matches, effort.island_px)), lambda: np.isfinite(without_speckles(matches, ISLAND_PX))
+        )
         firm = without_islands(firm, large, fine, calm)
     behind = background(fine, firm)
     # Hidden: what would be hidden if it were the background, so that a thin thing before a wall keeps its own value.
