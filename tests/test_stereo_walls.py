@@ -10,7 +10,7 @@ import pytest
 from stereorelight.stereo import match as matching
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.plains import plain_ground
-from stereorelight.stereo.proxy import Proxy
+from stereorelight.stereo.proxy import Proxy, matching_proxy
 from stereorelight.stereo.rectify import rectification
 from stereorelight.stereo.walls import AS_IF_NOISE, matched_on_walls, on_walls
 from stereorelight.synth.rigs import parallel_rig
@@ -143,3 +143,18 @@ def test_a_bare_wall_behind_a_card_is_found(monkeypatch) -> None:
     print(f"off by more than 1 px: {with_planes:.1f} % with planes, {without:.1f} % without")
     assert with_planes < 6
     assert with_planes < 0.5 * without
+
+
+def test_black_beyond_the_plate_is_no_wall() -> None:
+    """A dark wall that ends at the plate's edge: nothing beyond it is given a disparity."""
+    rng = np.random.default_rng(2)
+    height, width, edge = 200, 360, 280
+    plates = [np.full((height, width, 3), 0.004, np.float32) + 0.0006 * rng.standard_normal((height, width, 1)).astype(np.float32) for _ in range(2)]
+    marks = rng.random((60, width + 40, 3)).astype(np.float32)
+    for plate, d in zip(plates, (0, 12), strict=True):
+        plate[70:130] = marks[:, d : d + width]
+        plate[:, edge:] = np.nan
+    proxy = matching_proxy(*plates)
+    found = matching.match(proxy, matching.DisparityRange.holding(0, 30))
+    assert not proxy.left_known[:, edge:].any()
+    assert np.isnan(found.left[:, edge + 12 :]).all()

@@ -269,7 +269,7 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
         mended = np.isfinite(left) & (left != as_matched)
     walls = None
     if own is not None:
-        bare = plain_ground(calm.left, max(AS_IF_NOISE, noise))
+        bare = plain_ground(calm.left, max(AS_IF_NOISE, noise)) & proxy.left_known  # black beyond the plate is no wall
         if np.mean(bare & np.isnan(own)) >= WALLS_LOST:
             left, right, walls = matched_on_walls(proxy, bare, own, everywhere(left), (left, right), grainy=calm is not proxy)
     return Match(left=left, right=right, dense=everywhere(left), calm=calm.left, on_rims=mended, on_walls=walls, led=own)
