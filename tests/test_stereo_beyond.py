@@ -42,6 +42,7 @@ def test_an_island_that_is_nearer_or_not_beyond_the_frame_stays() -> None:
     assert np.array_equal(without_islands(firm, large, disparity, picture), firm)
     firm, large, disparity, picture = scene(104)
     disparity[large] = FAR_PX + 3  # this ground would land within the other eye's frame, were it to go on to an island that starts at column 14
+    disparity[:5][large[:5]] = NEAR_PX  # as near ground elsewhere does
     firm[ISLAND], firm[20:30, 14:22] = False, True
     disparity[20:30, 14:22] = FAR_PX
     assert np.array_equal(without_islands(firm, large, disparity, picture), firm)
