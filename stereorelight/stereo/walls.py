@@ -29,7 +29,8 @@ PLANES, LEAST_SHARE = 2, 0.12  # of a piece, and what share of it lies on each
 OTHER_SHARE, OTHER_WORTH = 0.1, 0.3  # of a piece that lies on a plane from beside it, and what each pixel there adds
 ON_PX = 1.0  # how near its plane ground lies on it
 TRIES, FIRST_PX, THEN_PX = 12, 2.0, 1.0  # rounds of the robust fit of a bowl, and how far off counts a quarter in either half of them
-BENDS, MOST_PX = 0.87, 2.0  # mean distance from the bowl over that from the planes, each no more than so many px, by which ground bends
+BENDS, BENT_PX = 0.87, 0.3  # mean distance of a bowl over that of the planes by which ground bends, where that is so many px or more
+MOST_PX = 2.0  # of that distance
 OFFERED = 3  # planes to a piece
 ALIKE_PX = 0.5  # mean distance of planes that are one
 AROUND_PX = 12.0  # over which the pictures are asked
@@ -104,7 +105,8 @@ def _bends(spots: Float64, planes: list[Float64]) -> bool:
         off = np.abs(bowl @ terms - d)
         weight = 1 / (1 + (off / (FIRST_PX if 2 * k < TRIES else THEN_PX)) ** 2) ** 2
     nearest = off_planes(np.array(planes), spots).min(axis=0)
-    return bool(np.minimum(off, MOST_PX).mean() < BENDS * np.minimum(nearest, MOST_PX).mean())
+    of_planes = np.minimum(nearest, MOST_PX).mean()
+    return bool(of_planes > BENT_PX and np.minimum(off, MOST_PX).mean() < BENDS * of_planes)
 
 
 def _offered(pieces: Pieces, lost: Bool) -> Float32:
