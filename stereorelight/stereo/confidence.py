@@ -4,8 +4,9 @@ In: the match, the refined disparity and the flow's second opinion.  Out: confid
 within 1 px of truth, and reason flags.  The evidence: the right eye confirms the match, here and round about; the flow confirms
 it, here and round about; no edge is near; the refinement's own standard deviation, which knows noise and texture; what is left
 between the eyes there, beside the plates' grain; whether they share anything but grain; whether there is texture to match by; how uneven
-the surface is; how much of what both eyes see was matched at all: where matching is lost on much of a picture, the rest of it is less sure; and
-plain ground that took the plane of the rims about it.  Deviations are beside what is usual in the picture, where that is more than grain.
+the surface is; whether semi-global matching by itself says the same nearby; how much of what both eyes see was matched at all:
+where matching is lost on much of a picture, its guesses are less sure; and plain ground that took the plane of the rims about it, or was put on
+one of its own.  Deviations are beside what is usual in the picture, where that is more than grain.
 A logistic regression weighs it.  Its coefficients were fitted on synthetic shots; docs/depth.md shows the check on
 footage that had no part in the fit.  The same evidence gives the standard deviation of the disparity."""
 

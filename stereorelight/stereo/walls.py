@@ -5,7 +5,8 @@ A bare wall says nothing to match by: what is found there is what its grain happ
 stands before it.  But most patches are right, or nearly, and no surface jumps where the picture has no edge.  So each piece of plain ground
 is offered the few planes that most of it, and of what lies beside it, was matched on; and a pixel takes the first of them that the two
 pictures do not object to, as much of them as lies about it (after Tao, Sawhney and Kumar 2001; Bleyer and Gelautz 2005; for each pixel anew,
-since a wall may have a corner).  Ground that bends keeps what it has, for there planes leave more between the pictures."""
+since a wall may have a corner).  Ground on which two ways of matching agree keeps what it has, and so does ground that bends: there a bowl is
+nearer its matches than planes are, or planes leave more between the pictures."""
 
 from __future__ import annotations
 
