@@ -15,10 +15,10 @@ from stereorelight.compare.tally import RegionFigures
 from stereorelight.errors import PlateError, ShotError
 from stereorelight.passes import Flag
 from stereorelight.stereo.depth import recover
-from stereorelight.stereo.match import search_range
 from stereorelight.stereo.proxy import Proxy, matching_proxy
 from stereorelight.stereo.rectify import Rectification, rectification
 from stereorelight.stereo.refine import EFFORTS, refine
+from stereorelight.stereo.search import search_range
 from stereorelight.stereo.settings import DepthSettings
 from stereorelight.synth.dials import softened
 from stereorelight.synth.render import Shot, render

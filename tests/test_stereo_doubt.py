@@ -21,10 +21,10 @@ from stereorelight.stereo.confidence import (
 )
 from stereorelight.stereo.depth import matched, refined_with_evidence
 from stereorelight.stereo.flow import flow_disparity
-from stereorelight.stereo.match import search_range
 from stereorelight.stereo.proxy import Proxy, matching_proxy
 from stereorelight.stereo.rectify import rectification
 from stereorelight.stereo.refine import Refined
+from stereorelight.stereo.search import search_range
 from stereorelight.stereo.settings import DepthSettings
 from stereorelight.synth.rigs import parallel_rig
 from tests import plain_scenes

@@ -9,9 +9,9 @@ import pytest
 from stereorelight.camera import Camera, RectifiedRig
 from stereorelight.stereo.draft import full_size
 from stereorelight.stereo.halves import half_proxy, half_rig, half_view
-from stereorelight.stereo.match import DisparityRange
 from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.refine import Refined
+from stereorelight.stereo.semi_global import DisparityRange
 
 f4 = np.float32
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from stereorelight.stereo.match import DisparityRange, everywhere, match, on_plates
+from stereorelight.stereo.match import everywhere, match, on_plates
 from stereorelight.stereo.proxy import Proxy
+from stereorelight.stereo.semi_global import DisparityRange
 
 NAN = np.float32(np.nan)
 H, W, D = 60, 160, 6

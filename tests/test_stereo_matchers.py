@@ -16,10 +16,10 @@ from stereorelight.interchange.rigs import write_rig
 from stereorelight.passes import Flag
 from stereorelight.stereo import matchers
 from stereorelight.stereo.depth import recover
-from stereorelight.stereo.match import DisparityRange
 from stereorelight.stereo.matchers import from_folder, matcher_file, matcher_named, matcher_names, register_matcher
 from stereorelight.stereo.proxy import matching_proxy
 from stereorelight.stereo.rectify import rectification
+from stereorelight.stereo.semi_global import DisparityRange
 from stereorelight.stereo.settings import DepthSettings
 from stereorelight.synth.rigs import parallel_rig
 

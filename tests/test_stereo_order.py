@@ -13,9 +13,9 @@ from stereorelight.engine.strips import strip_votes
 from stereorelight.errors import PlateError
 from stereorelight.stereo.depth import recover
 from stereorelight.stereo.halves import half_rig, half_view
-from stereorelight.stereo.match import search_range
 from stereorelight.stereo.order import Votes, behind_rig
 from stereorelight.stereo.proxy import matching_proxy
+from stereorelight.stereo.search import search_range
 from tests.benchmarks.bench_depth import pair_of_plates
 from tests.benchmarks.bench_depth_scenes import grained
 

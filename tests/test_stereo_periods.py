@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stereorelight.stereo.match import DisparityRange, match
+from stereorelight.stereo.match import match
 from stereorelight.stereo.periods import moved
 from stereorelight.stereo.proxy import Proxy
+from stereorelight.stereo.semi_global import DisparityRange
 
 H, W = 160, 320
 PERIOD = 10.4  # px, no whole number: a disparity a period off falls on other parts of a pixel

@@ -7,9 +7,9 @@ import pytest
 
 import stereorelight.stereo.match as matching
 from stereorelight.stereo.depth import recover
-from stereorelight.stereo.match import search_range
 from stereorelight.stereo.proxy import matching_proxy
 from stereorelight.stereo.rectify import rectification
+from stereorelight.stereo.search import search_range
 from stereorelight.synth.rigs import parallel_rig
 from tests.test_calibration_real import DATA, real_views
 

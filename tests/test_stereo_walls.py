@@ -12,6 +12,7 @@ from stereorelight.stereo.depth import recover
 from stereorelight.stereo.plains import plain_ground
 from stereorelight.stereo.proxy import Proxy, matching_proxy
 from stereorelight.stereo.rectify import rectification
+from stereorelight.stereo.semi_global import DisparityRange
 from stereorelight.stereo.walls import AS_IF_NOISE, matched_on_walls, on_walls
 from stereorelight.synth.rigs import parallel_rig
 
@@ -155,6 +156,6 @@ def test_black_beyond_the_plate_is_no_wall() -> None:
         plate[70:130] = marks[:, d : d + width]
         plate[:, edge:] = np.nan
     proxy = matching_proxy(*plates)
-    found = matching.match(proxy, matching.DisparityRange.holding(0, 30))
+    found = matching.match(proxy, DisparityRange.holding(0, 30))
     assert not proxy.left_known[:, edge:].any()
     assert np.isnan(found.left[:, edge + 12 :]).all()

@@ -18,8 +18,9 @@ import numpy.typing as npt
 from stereorelight.arrays import Bool, Float32, Float64, as_float32
 from stereorelight.engine.occlusion import consistent
 from stereorelight.errors import PassError, PlateError, nearest_hint
-from stereorelight.stereo.match import DisparityRange, semi_global
+from stereorelight.stereo.match import semi_global
 from stereorelight.stereo.proxy import matching_proxy
+from stereorelight.stereo.semi_global import DisparityRange
 
 Mode = Literal["global", "local"]
 MODES = ("global", "local")

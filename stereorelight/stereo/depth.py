@@ -25,11 +25,13 @@ from stereorelight.stereo.draft import full_size
 from stereorelight.stereo.flow import FlowMatch, flow_disparity
 from stereorelight.stereo.halves import half_rig, half_view, nearest
 from stereorelight.stereo.hints import Hinted, Hints, hinted
-from stereorelight.stereo.match import DisparityRange, Match, coarse_disparity, match, search_range
+from stereorelight.stereo.match import Match, match
 from stereorelight.stereo.matchers import OWN, match_by, matcher_named
 from stereorelight.stereo.proxy import Proxy, matching_proxy, picture_of
 from stereorelight.stereo.rectify import Rectification
 from stereorelight.stereo.refine import EFFORTS, Refined, refine
+from stereorelight.stereo.search import coarse_disparity, search_range
+from stereorelight.stereo.semi_global import DisparityRange
 from stereorelight.stereo.settings import DepthSettings
 
 SMALLEST_DISPARITY_PX = 0.25  # of d + doffs: beyond it, depth is anything up to infinity

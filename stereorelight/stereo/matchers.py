@@ -21,8 +21,9 @@ from stereorelight.arrays import Float32
 from stereorelight.errors import PlateError, ShotError, nearest_hint
 
 if TYPE_CHECKING:
-    from stereorelight.stereo.match import DisparityRange, Match
+    from stereorelight.stereo.match import Match
     from stereorelight.stereo.proxy import Proxy
+    from stereorelight.stereo.semi_global import DisparityRange
 
 OWN = "sgbm"
 GROUP = "stereorelight.matchers"

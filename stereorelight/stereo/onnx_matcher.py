@@ -26,8 +26,8 @@ import numpy as np
 
 from stereorelight.arrays import Float32, UInt8
 from stereorelight.errors import PlateError, ShotError, nearest_hint
-from stereorelight.stereo.match import DisparityRange
 from stereorelight.stereo.proxy import Proxy
+from stereorelight.stereo.semi_global import DisparityRange
 from stereorelight.threads import usable_cores
 
 MULTIPLE = 32  # the strides of the published networks divide it

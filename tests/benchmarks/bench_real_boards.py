@@ -17,9 +17,10 @@ import numpy as np
 
 from stereorelight.calibration.lens_choice import choose
 from stereorelight.stereo.depth import recover
-from stereorelight.stereo.match import DisparityRange, search_range
 from stereorelight.stereo.proxy import Proxy, matching_proxy
 from stereorelight.stereo.rectify import Rectification, rectification
+from stereorelight.stereo.search import search_range
+from stereorelight.stereo.semi_global import DisparityRange
 from stereorelight.stereo.settings import QUALITIES, DepthSettings
 from stereorelight.threads import set_threads
 from tests.benchmarks.bench_depth import linear

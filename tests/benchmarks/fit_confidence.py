@@ -38,9 +38,9 @@ from stereorelight.stereo.depth import half_settings, matched, refined_with_evid
 from stereorelight.stereo.draft import full_size
 from stereorelight.stereo.flow import flow_disparity
 from stereorelight.stereo.halves import half_rig, half_view, nearest
-from stereorelight.stereo.match import search_range
 from stereorelight.stereo.proxy import matching_proxy, picture_of
 from stereorelight.stereo.rectify import Rectification, rectification
+from stereorelight.stereo.search import search_range
 from stereorelight.stereo.settings import DepthSettings
 from stereorelight.surface import normals as surface
 from stereorelight.surface.normals import normals_from_depth
