@@ -17,15 +17,16 @@ from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.semi_global import DisparityRange, both_eyes
 
 COARSE_WIDTH = 160  # pixels of the picture in which the range is looked for
-FINER_WIDTH = 320  # and of that in which what the first leaves open is looked for: bare ground, and half-hidden strips that tell which eye is which
+BARE_WIDTH = 240  # and of that in which ground is looked at that shows nothing in the first
+STRIPS_WIDTH = 320  # and of that in which half-hidden strips are, where the range does not tell which eye is which
 COARSE_REACH = 0.6  # of the frame's width: no disparity beyond it is looked for without a near_m
 STRIPS_MARGIN_PX = 2.0  # beyond what the coarse matches hold, px of the finer copy
 CONFIRMS_PX = 0.75  # of a copy
 TAIL = 0.002  # share of believed matches at either end that does not widen the range
 TEXTURE = 1.0  # grey levels a pixel: ground plainer than this proves nothing
 FEWEST_MATCHES = 0.2  # share of textured ground that both eyes must confirm; noise against noise gives less than a tenth
-BARE_PX, LEAST_BARE = 9, 0.01  # ground without a say: farther than half of this from all that has one, and this share of the picture
-HELD = 0.7  # share of such ground that a finer copy must match: grain against grain gives about half
+BARE_PX, LEAST_BARE = 9, 0.03  # ground without a say: farther than half of this from all that has one, and this share of the picture
+HELD = 0.75  # share of such ground that a finer copy must match: grain against grain gives half, at most 0.7
 BARE_TAIL = 0.02  # as `TAIL`, of bare ground
 
 
@@ -78,7 +79,7 @@ def _refuse_swapped(proxy: Proxy, coarse: Proxy, eyes: tuple[Float32, Float32], 
         raise PlateError(f"{100 * behind:.0f} % of the matches lie behind the rig: left and right plates look swapped; {remedy}")
     if exchanged > behind + RIG_TELLS or votes(proxy, coarse, *eyes).right:
         return
-    fine, _ = coarse_copy(proxy, FINER_WIDTH)
+    fine, _ = coarse_copy(proxy, STRIPS_WIDTH)
     finer = fine.left.shape[1] / coarse.left.shape[1]
     low, high = (float(q) * finer for q in np.quantile(d, (TAIL, 1 - TAIL)))
     if high - low < LEAST_PX:  # no room for a strip
@@ -105,7 +106,7 @@ def _of_bare_ground(proxy: Proxy, coarse: Proxy, believed: Bool, infinity: float
     wide = [k for k in range(1, count) if about[k, cv2.CC_STAT_AREA] >= LEAST_BARE * bare.size]
     if not wide:
         return []
-    finer, _ = coarse_copy(proxy, FINER_WIDTH)
+    finer, _ = coarse_copy(proxy, BARE_WIDTH)
     times = finer.left.shape[1] / coarse.left.shape[1]
     left, right = both_eyes(finer, DisparityRange.holding(times * infinity - 0.5, times * infinity + COARSE_REACH * finer.left.shape[1]))
     sure = np.where(consistent(left, right, within_px=CONFIRMS_PX), left, np.float32(np.nan))
