@@ -3,6 +3,8 @@ is left alone."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -119,6 +121,25 @@ def test_ground_that_the_plane_hides_is_left_open_and_both_eyes_agree_on_the_res
     assert not hidden[:, 30:150].any()
     y, x = np.nonzero(changed & ~hidden & (X > 40))
     assert np.median(np.abs(right[y, np.floor(x - left[y, x] + 0.5).astype(int)] - left[y, x])) < 0.1
+
+
+def test_chance_gives_way_where_the_plane_would_be_hidden() -> None:
+    """Beside a thing that stands before the wall the other eye sees none of it: what both eyes agree on there is chance, however well it fits."""
+    had, proxy = patchy(WALL), pair(WALL)
+    near, strip = np.s_[:, 200:230], np.s_[20:140, 166:198]
+    had[near] = 52
+    had[strip] = 46
+    left = proxy.left_grey.copy()
+    left[strip] = proxy.right_grey[20:140, 166 - 46 : 198 - 46]
+    plain = plain_ground(proxy.left, AS_IF_NOISE)
+    plain[near] = False
+    found, _ = on_walls(replace(proxy, left_grey=left), plain, NOWHERE, had, ALL, grainy=False)
+    assert np.abs(found - WALL)[strip].max() < 0.5
+    before = np.s_[30:120, 90:150]  # where the wall would be seen, it is not
+    had[before] = 26
+    left[before] = proxy.right_grey[30:120, 90 - 26 : 150 - 26]
+    found, _ = on_walls(replace(proxy, left_grey=left), plain, NOWHERE, had, ALL, grainy=False)
+    assert np.mean(found[before] == 26) > 0.6
 
 
 def test_a_bare_wall_behind_a_card_is_found(monkeypatch) -> None:

@@ -198,6 +198,7 @@ def on_walls(proxy: Proxy, plain: Bool, led: Float32, disparity: Float32, confir
     usual = np.float32(max(float(np.median(some)) if some.size else 0.0, grain2))
     least = grown(was.left_over / usual + np.float32(GRAINY_OBJECTS if grainy else OBJECTS))
     least[was.hidden | ~confirmed | (grown(was.told) < FEW)] = 1 + UNKNOWN
+    best = np.full(disparity.shape, np.inf, np.float32)
     for k, planes in enumerate(offered):
         offers = np.isfinite(planes[:, 0])
         if not offers.any():
@@ -208,8 +209,10 @@ def on_walls(proxy: Proxy, plain: Bool, led: Float32, disparity: Float32, confir
             lie = ground & confirmed & (np.abs(there - disparity) <= ON_PX)
         here = cv2.GaussianBlur(cv2.resize(lie.astype(np.float32), now.told.shape[::-1], interpolation=cv2.INTER_AREA), (0, 0), AROUND_PX / 4)
         worth = grown(np.where(now.told < FEW, np.float32(1), now.left_over / usual) - np.float32(MATCHED) * here) + np.float32(LATER * k)
-        takes = offers[pieces.label] & (worth < least)
-        np.copyto(least, worth, where=takes)
+        # On the plane the other eye would not see it, and what it has stands before: in such a strip any match is chance.
+        behind = now.hidden & (there < disparity - np.float32(ON_PX))
+        takes = offers[pieces.label] & (worth < np.where(behind, np.maximum(least, np.float32(1 + UNKNOWN)), least)) & (worth < best)
+        np.copyto(best, worth, where=takes)
         np.copyto(out, there, where=takes)
         changed |= takes
     return out, changed
