@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 
 from stereorelight.camera import Camera, RectifiedRig
+from stereorelight.stereo import depth
 from stereorelight.stereo.draft import full_size
 from stereorelight.stereo.halves import half_proxy, half_rig, half_view
 from stereorelight.stereo.proxy import Proxy
+from stereorelight.stereo.rectify import rectification
 from stereorelight.stereo.refine import Refined
 from stereorelight.stereo.semi_global import DisparityRange
+from stereorelight.stereo.settings import DepthSettings
+from stereorelight.synth.rigs import parallel_rig
 
 f4 = np.float32
 
@@ -93,3 +97,31 @@ def test_grain_is_measured_and_taken_out_of_the_pictures_that_choose_alone() -> 
     assert calm.left_grey is pair.left_grey
     quiet = noise_pair((200, 240), 0.5)
     assert quiet.calmed() is quiet
+
+
+@pytest.mark.slow
+def test_a_draft_is_matched_as_other_pictures_are_where_bare_ground_is_lost(monkeypatch) -> None:
+    """A card before a wall that shows next to nothing: a matcher that looks at each place by itself finds anything there."""
+    rng = np.random.default_rng(8)
+    height, width, wall_px, card_px = 480, 840, 16, 48
+    soft = cv2.GaussianBlur(rng.standard_normal((height, width + 80)).astype(f4), (0, 0), 3.0)
+    marks = cv2.resize(rng.random((height // 2, width // 2 + 40, 3)).astype(f4), (width + 80, height))
+    card, truth = np.s_[120:360, 320:560], np.full((height, width), wall_px, f4)
+    truth[card] = card_px
+    plates = []
+    for d_wall, d_card in ((0, 0), (wall_px, card_px)):
+        picture = np.repeat((0.45 + 0.0012 * soft / soft.std())[:, d_wall : d_wall + width, None], 3, axis=2)
+        picture[120:360, 320 - d_card : 560 - d_card] = 0.2 + 0.5 * marks[120:360, 320:560]
+        codes = np.rint(255 * (picture + 0.004 * rng.standard_normal((height, width, 1))))
+        plates.append(((np.clip(codes, 0, 255) / 255) ** 2.2).astype(f4))
+    lost, told = [], []
+    for share in (depth.DRAFT_LOST, 2.0):
+        monkeypatch.setattr(depth, "DRAFT_LOST", share)
+        found = depth.recover(*plates, rectification(parallel_rig((width, height))), settings=DepthSettings(quality="draft")).rectified
+        off = np.abs(found["disparity"] - truth)[:, 80:]
+        lost.append(np.mean(off > 2))
+        told.append(found["confidence"][:, 80:].mean() - np.mean(off <= 1))
+    print(f"off by more than 2 px: {lost[0]:.3f}, and {lost[1]:.3f} where each place is matched by itself; told too high by {told}")
+    assert lost[0] < 0.05
+    assert lost[0] < 0.2 * lost[1]
+    assert told[0] < 0.05

@@ -50,7 +50,7 @@ EVIDENCE = (
 COEFFICIENTS = np.array(
     [2.8, 0.973, 0.0, -0.62, -1.36, 0.761, 0.245, -1.034, -0.756, -0.271, -0.6, 0.15, -0.308, 0.0, 2.35, 1.478, -1.177, 0.706], dtype=np.float32
 )
-# Of half-size pictures without a second opinion, their lengths in pixels of the plate; none of their ground lies on rims.
+# Of half-size pictures without a second opinion or SGBM, their lengths in pixels of the plate; none of their ground lies on rims or planes.
 DRAFT_COEFFICIENTS = np.array(
     [0.062, 0.421, 0.421, -0.928, -1.274, 0.99, 1.388, -0.215, -0.575, -0.257, -0.883, 0.498, -0.379, -0.069, 0.0, 0.0, 0.0, 0.0], dtype=np.float32
 )
@@ -241,6 +241,11 @@ def confidence_from_evidence(e: Evidence, coefficients: Float32 = COEFFICIENTS, 
     misfit = e.misfit if e.usual == 1 else e.misfit / np.float32(e.usual)
     given = (e.confirmed, e.flow_agrees, *nearby, e.spread, e.sigma, misfit, e.alone, e.texture, e.uneven, on_rims, led, on_walls)
     return believed(weights, *given, floors=floors(e.lost, least))
+
+
+def of_drafts(e: Evidence) -> tuple[Float32, tuple[float, float, float]]:
+    """The coefficients and floors of half-size pictures: their own, and those of all others where they were matched as all others are."""
+    return (DRAFT_COEFFICIENTS, DRAFT_FLOORS) if e.led is None else (COEFFICIENTS, FLOORS)
 
 
 def floors(lost: float, least: tuple[float, float, float] = FLOORS) -> tuple[float, float]:

@@ -25,7 +25,7 @@ from stereorelight.stereo.draft import full_size
 from stereorelight.stereo.flow import FlowMatch, flow_disparity
 from stereorelight.stereo.halves import half_rig, half_view, nearest
 from stereorelight.stereo.hints import Hinted, Hints, hinted
-from stereorelight.stereo.match import Match, match
+from stereorelight.stereo.match import Match, lost_on_bare_ground, match
 from stereorelight.stereo.matchers import OWN, match_by, matcher_named
 from stereorelight.stereo.proxy import Proxy, matching_proxy, picture_of
 from stereorelight.stereo.rectify import Rectification
@@ -37,6 +37,7 @@ from stereorelight.stereo.settings import DepthSettings
 SMALLEST_DISPARITY_PX = 0.25  # of d + doffs: beyond it, depth is anything up to infinity
 MatchColour = Literal["off", "global", "local"]
 DRAFT_CONSISTENCY_PX = 0.75  # half-size pixels: whole-pixel matches cannot agree better
+DRAFT_LOST = 0.04  # share of a draft's picture that is bare and unconfirmed from which it is matched as other pictures are
 DRAFT_SMALLEST_PX = 64  # of half a picture's side that a draft is made on
 APART_PX = 1.0  # disparities farther apart belong to two surfaces when Z is carried to the plate
 
@@ -70,9 +71,13 @@ class RectifiedDepth:
 
 def matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> Match:
     """Both eyes of a rectified pair, by the matcher that is asked for."""
-    if settings.matcher == OWN:
-        return match(proxy, search, exhaustive=settings.quality == "fine", led=settings.quality != "draft")
-    return match_by(matcher_named(settings.matcher), settings.matcher.partition(":")[0], proxy, search)
+    if settings.matcher != OWN:
+        return match_by(matcher_named(settings.matcher), settings.matcher.partition(":")[0], proxy, search)
+    if settings.quality == "draft":
+        quick = match(proxy, search, led=False)
+        if lost_on_bare_ground(proxy, quick, within_px=DRAFT_CONSISTENCY_PX) < DRAFT_LOST:
+            return quick
+    return match(proxy, search, exhaustive=settings.quality == "fine")
 
 
 def half_settings(settings: DepthSettings) -> DepthSettings:
@@ -127,7 +132,7 @@ def _of_pair(
     if px == 1:
         confidence = belief.confidence_from_evidence(evidence)
     else:
-        confidence = belief.confidence_from_evidence(evidence.in_pixels(px), belief.DRAFT_COEFFICIENTS, belief.DRAFT_FLOORS)
+        confidence = belief.confidence_from_evidence(evidence.in_pixels(px), *belief.of_drafts(evidence))
     sigma, flags = at_once(
         lambda: belief.sigma_from_evidence(evidence, confidence),
         lambda: belief.reasons(refined, confirmed, proxy.left_known, proxy.right_known),

@@ -191,7 +191,19 @@ def match(proxy: Proxy, search: DisparityRange, *, exhaustive: bool = False, gui
         mended = np.isfinite(left) & (left != as_matched)
     walls = None
     if own is not None:
-        bare = plain_ground(calm.left, max(AS_IF_NOISE, noise)) & proxy.left_known  # black beyond the plate is no wall
+        bare = bare_ground(proxy, calm.left)
         if np.mean(bare & np.isnan(own)) >= WALLS_LOST:
             left, right, walls = matched_on_walls(proxy, bare, own, everywhere(left), (left, right), grainy=calm is not proxy)
     return Match(left=left, right=right, dense=everywhere(left), calm=calm.left, on_rims=mended, on_walls=walls, led=own)
+
+
+def bare_ground(proxy: Proxy, calm: UInt8) -> Bool:
+    """(H, W): where the left picture shows nothing to match by; `calm`: with less grain, where there was too much of it.  Black beyond the plate is
+    no wall."""
+    return plain_ground(calm, max(AS_IF_NOISE, proxy.noise())) & proxy.left_known
+
+
+def lost_on_bare_ground(proxy: Proxy, found: Match, *, within_px: float) -> float:
+    """The share of the left picture that is bare and on which the eyes do not confirm each other `within_px`."""
+    calm = proxy.left if found.calm is None else found.calm
+    return float(np.mean(bare_ground(proxy, calm) & ~consistent(found.left, found.right, within_px=within_px)))

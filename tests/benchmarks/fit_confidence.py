@@ -6,7 +6,8 @@ and balls under grain of linear light (bench_grain.py); bare ROOMS (bench_plain_
 compressed (tests/plain_scenes.py).  N pixels of each pair, drawn at random.  Out, printed: the three sets of coefficients, ready to be put into those
 modules; how true they are on the pairs of the fit; how true on each family when it is left out; and on those that have no part in it
 (HELD_OUT, OTHER_ROOMS, other photographs, Motorcycle and, where STEREORELIGHT_DATA holds them, real boards).  --check fits nothing and judges the
-coefficients that stand.  --draft does the same for what a draft's half-size pictures say of themselves, confidence alone.
+coefficients that stand.  --draft does the same for what a draft's half-size pictures say of themselves, confidence alone; drafts that are matched
+as other pictures are have no part in the fit, and are judged by the coefficients of those.
 
 Confidence: the likelihood of being within 1 px of truth, floors and all, with a ridge.  Standard deviations: regression of the 0.683 quantile
 of the logarithm of the error (Koenker and Bassett 1978) where both eyes see, since 68 % of the errors are to be within what is told; few bad
@@ -86,6 +87,7 @@ class Pair:
     seen: np.ndarray
     drawn: np.ndarray
     floors: tuple[float, float, float]
+    own: bool  # judged by the coefficients that are fitted, and not, as a draft that was matched as other pictures are, by theirs
 
 
 def looked_at(
@@ -115,9 +117,10 @@ def looked_at(
     error = np.abs(disparity - truth)
     N = np.full((*truth.shape, 3), np.nan, np.float32) if N is None else N
     family = name.split()[0]
-    floors = belief.DRAFT_FLOORS if draft else belief.FLOORS
+    floors = belief.of_drafts(evidence)[1] if draft else belief.FLOORS
+    own = not draft or evidence.led is None
     judged = {"disparity": disparity, "evidence": evidence, "error": error, "N": N, "seen": seen, "drawn": drawn}
-    return Pair(name=name, family=family, rig=rectified.rig, floors=floors, **judged)
+    return Pair(name=name, family=family, rig=rectified.rig, floors=floors, own=own, **judged)
 
 
 def _drafted(views: Sequence[np.ndarray], rectified: Rectification, near_m: float | None, far_m: float | None) -> tuple[np.ndarray, belief.Evidence]:
@@ -270,7 +273,8 @@ class Coefficients:
 
 
 def told_of(pair: Pair, c: Coefficients) -> tuple[np.ndarray, np.ndarray]:
-    sure = belief.confidence_from_evidence(pair.evidence, c.confidence.astype(np.float32), pair.floors)
+    own = c.confidence if pair.own else belief.COEFFICIENTS
+    sure = belief.confidence_from_evidence(pair.evidence, own.astype(np.float32), pair.floors)
     return sure, belief.sigma_from_evidence(pair.evidence, sure, c.sigma)
 
 
@@ -380,14 +384,15 @@ def main() -> None:
     pairs += of_rooms(ROOMS, asked.pixels, asked.cache, **draft)
     pairs += of_plain(PLAIN, asked.pixels, **draft)
     families = sorted({p.family for p in pairs})
+    of_fit = [p for p in pairs if p.own]
     if not asked.check:
-        c = Coefficients(confidence=confidence_of(pairs), sigma=c.sigma, normals=c.normals) if asked.draft else fitted(pairs)
+        c = Coefficients(confidence=confidence_of(of_fit), sigma=c.sigma, normals=c.normals) if asked.draft else fitted(of_fit)
         print("DRAFT_COEFFICIENTS =" if asked.draft else "COEFFICIENTS =", [round(float(x), 3) for x in c.confidence])
         if not asked.draft:
             print("SIGMA_COEFFICIENTS =", tuple(round(float(x), 3) for x in c.sigma))
             print("FITTED =", tuple(round(float(x), 3) for x in c.normals), flush=True)
         for family in families:
-            without = Coefficients(confidence=confidence_of([p for p in pairs if p.family != family]), sigma=c.sigma, normals=c.normals)
+            without = Coefficients(confidence=confidence_of([p for p in of_fit if p.family != family]), sigma=c.sigma, normals=c.normals)
             judge(f"{family}, left out", [p for p in pairs if p.family == family], without)
     for family in families:
         judge(f"{family}, of the fit", [p for p in pairs if p.family == family], c)
