@@ -297,7 +297,7 @@ def test_a_hard_rig_costs_less_than_a_quarter() -> None:
     """
     medians = {}
     for name in ("parallel", "hard"):
-        made, rectified = shot("bust", name, size=(640, 360), samples=3)
+        made, rectified = shot("bust", name, size=(640, 360), samples=2)
         seen = made.left["flags"] == 0
         for case in ({}, {"quantised": False}, {"soft_px": 0.7}, {"soft_px": 0.7, "grain": 0.01}):
             got = recover(*plates(made, rectified, **case), rectified).frame

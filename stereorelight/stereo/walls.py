@@ -196,7 +196,8 @@ def on_walls(proxy: Proxy, plain: Bool, led: Float32, disparity: Float32, confir
     was = asked(disparity)
     some = was.left_over[was.told > 0.5]
     usual = np.float32(max(float(np.median(some)) if some.size else 0.0, grain2))
-    least = grown(was.left_over / usual + np.float32(GRAINY_OBJECTS if grainy else OBJECTS))
+    unit = np.maximum(was.left_over, usual)  # where more is left than usually, chance counts for more
+    least = grown(was.left_over / unit + np.float32(GRAINY_OBJECTS if grainy else OBJECTS))
     least[was.hidden | ~confirmed | (grown(was.told) < FEW)] = 1 + UNKNOWN
     best = np.full(disparity.shape, np.inf, np.float32)
     for k, planes in enumerate(offered):
@@ -208,7 +209,7 @@ def on_walls(proxy: Proxy, plain: Bool, led: Float32, disparity: Float32, confir
         with np.errstate(invalid="ignore"):
             lie = ground & confirmed & (np.abs(there - disparity) <= ON_PX)
         here = cv2.GaussianBlur(cv2.resize(lie.astype(np.float32), now.told.shape[::-1], interpolation=cv2.INTER_AREA), (0, 0), AROUND_PX / 4)
-        worth = grown(np.where(now.told < FEW, np.float32(1), now.left_over / usual) - np.float32(MATCHED) * here) + np.float32(LATER * k)
+        worth = grown(np.where(now.told < FEW, np.float32(1), now.left_over / unit) - np.float32(MATCHED) * here) + np.float32(LATER * k)
         # On the plane the other eye would not see it, and what it has stands before: in such a strip any match is chance.
         behind = now.hidden & (there < disparity - np.float32(ON_PX))
         takes = offers[pieces.label] & (worth < np.where(behind, np.maximum(least, np.float32(1 + UNKNOWN)), least)) & (worth < best)
