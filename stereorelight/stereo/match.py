@@ -120,7 +120,10 @@ def _guide(left: Float32, matcher: cv2.StereoSGBM, loose: cv2.StereoSGBM, proxy:
     plain = _plain(proxy.left_grey, PLAIN, PLAIN_WINDOW) if clean else _plain(grey_of(calm.left), CALM_PLAIN, CALM_PLAIN_WINDOW)
     if clean and np.mean(plain & lost) < PLAIN_LOST:
         return left, False
-    small = match(half_proxy(proxy), search.halved(), guided=clean)  # clean plates go on to a quarter of the size, as long as it is plain, too
+    halved = half_proxy(proxy)
+    small = match(
+        halved, search.halved(), guided=halved.noise() < CALM
+    )  # clean ones go on to a quarter of the size, as long as much is plain there, too
     half = 2 * nearest(small.left, (left.shape[0], left.shape[1]))
     sure = nearest(consistent(small.left, small.right).view(np.uint8), (left.shape[0], left.shape[1])) > 0
     if clean:

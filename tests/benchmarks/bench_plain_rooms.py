@@ -1,6 +1,7 @@
 """Depth and normals before walls that have next to nothing to match by, as a camera's own processing leaves them.
 
-Run:  python tests/benchmarks/bench_plain_rooms.py [--scenes bust ...] [--contrasts 0.02 0.04] [--quality standard] [--cache DIR] [--pictures DIR]
+Run:  python tests/benchmarks/bench_plain_rooms.py [--scenes bust ...] [--contrasts 0.02 0.04] [--quality standard] [--size 640x360] [--cache DIR]
+          [--pictures DIR]
 Our scenes with their large surfaces in one colour, textured by `contrast` of it; grain of 0.4 % of full range, softened as a camera softens it
 and kept as JPEG, or 1 % as it falls.  Prints bad1, bad2 where both eyes see, bad2 of all, the median of the normals' error and how many are off
 by more than 30 degrees, and confidence: told, right, the worst tenth of 1 % of the pixels and more.  --pictures writes plate, depth, confidence,
@@ -67,11 +68,11 @@ def bare(scene: Scene, words: Sequence[str], contrast: float) -> Scene:
     return replace(scene, objects=tuple(things))
 
 
-def rendered(name: str, contrast: float, cache: Path | None) -> dict[str, np.ndarray]:
-    path = None if cache is None else cache / f"room_{name}_{SIZE[0]}_{contrast}.npz"
+def rendered(name: str, contrast: float, cache: Path | None, size: tuple[int, int] = SIZE) -> dict[str, np.ndarray]:
+    path = None if cache is None else cache / f"room_{name}_{size[0]}_{contrast}.npz"
     if path is not None and path.exists():
         return dict(np.load(path))
-    shot = render(bare(scene_named(name), BARE[name], contrast), parallel_rig(SIZE))
+    shot = render(bare(scene_named(name), BARE[name], contrast), parallel_rig(size))
     found = {"left": shot.left["plate"], "right": shot.right["plate"], **{k: shot.left[k] for k in ("Z", "N", "flags")}}
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -94,12 +95,13 @@ def rooms(
     contrasts: Sequence[float] = CONTRASTS,
     grains: Sequence[tuple[float, float]] = GRAINS,
     cache: Path | None = None,
+    size: tuple[int, int] = SIZE,
 ) -> Iterator[Room]:
-    rig = rig_of().rig
+    rig = rig_of(size).rig
     per = rig.left.fx * rig.baseline_m
     for name in names:
         for contrast in contrasts:
-            made = rendered(name, contrast, cache)
+            made = rendered(name, contrast, cache, size)
             for grain, soft_px in grains:
                 rng = np.random.default_rng(1)
                 left, right = (kept_by_camera(made[eye], grain, soft_px, rng) for eye in ("left", "right"))
@@ -107,8 +109,8 @@ def rooms(
                 yield Room(name=told, plates=(left, right), truth=per / made["Z"], N=made["N"], seen=made["flags"] == 0)
 
 
-def rig_of() -> Rectification:
-    return rectification(parallel_rig(SIZE))
+def rig_of(size: tuple[int, int] = SIZE) -> Rectification:
+    return rectification(parallel_rig(size))
 
 
 def pictured(room: Room, disparity: np.ndarray, confidence: np.ndarray, N: np.ndarray) -> np.ndarray:
@@ -126,7 +128,7 @@ def pictured(room: Room, disparity: np.ndarray, confidence: np.ndarray, N: np.nd
 
 
 def figures(room: Room, quality: str, pictures: Path | None) -> tuple[str, np.ndarray]:
-    rig = rig_of()
+    rig = rig_of((room.truth.shape[1], room.truth.shape[0]))
     found = recover(*room.plates, rig, settings=DepthSettings(quality=quality))
     disparity, sure = found.rectified["disparity"], found.rectified["confidence"]
     N = surface_of(found.frame, noise_per_m=MATCH_NOISE_PX / (rig.rig.left.fx * rig.rig.baseline_m))["N"]
@@ -153,13 +155,15 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=list(BARE), choices=list(BARE))
     parser.add_argument("--contrasts", nargs="+", type=float, default=list(CONTRASTS))
     parser.add_argument("--quality", default="standard", choices=QUALITIES)
+    parser.add_argument("--size", default=f"{SIZE[0]}x{SIZE[1]}")
     parser.add_argument("--cache", type=Path)
     parser.add_argument("--pictures", type=Path)
     asked = parser.parse_args()
     set_threads()
+    width, height = (int(n) for n in asked.size.split("x"))
     for grain in GRAINS:
         rows = []
-        for room in rooms(asked.scenes, asked.contrasts, (grain,), asked.cache):
+        for room in rooms(asked.scenes, asked.contrasts, (grain,), asked.cache, (width, height)):
             text, row = figures(room, asked.quality, asked.pictures)
             print(text, flush=True)
             rows.append(row)
