@@ -196,7 +196,7 @@ def on_walls(proxy: Proxy, plain: Bool, led: Float32, disparity: Float32, confir
     was = asked(disparity)
     some = was.left_over[was.told > 0.5]
     usual = np.float32(max(float(np.median(some)) if some.size else 0.0, grain2))
-    unit = np.maximum(was.left_over, usual)  # where more is left than usually, chance counts for more
+    unit: Float32 = np.maximum(was.left_over, usual)  # where more is left than usually, chance counts for more
     least = grown(was.left_over / unit + np.float32(GRAINY_OBJECTS if grainy else OBJECTS))
     least[was.hidden | ~confirmed | (grown(was.told) < FEW)] = 1 + UNKNOWN
     best = np.full(disparity.shape, np.inf, np.float32)
