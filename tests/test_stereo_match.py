@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from stereorelight.stereo import match as matching
 from stereorelight.stereo.match import everywhere, match, on_plates
 from stereorelight.stereo.proxy import Proxy
 from stereorelight.stereo.semi_global import DisparityRange
@@ -59,3 +61,30 @@ def test_dead_pixels_and_rows_within_the_plate_keep_what_was_matched_about_them(
     left, _ = on_plates(np.full((H, W), D, np.float32), np.full((H, W), D, np.float32), hurt)
     assert np.isnan(left[~proxy.left_known]).all()
     assert np.isfinite(left[10:-10, 10:110]).all()
+
+
+@pytest.mark.parametrize(("noise", "sizes"), [(2.8, [64, 128, 256, 512]), (6.0, [256, 512, 512])])
+def test_half_a_grainy_pair_is_led_by_a_quarter_where_it_is_clean_and_bare(monkeypatch, noise, sizes) -> None:
+    """Bare walls are found at the size at which they show something; what is grainy at half the size, too, is left at that."""
+    rng = np.random.default_rng(4)
+    pictures = [np.clip(np.rint(128 + noise * rng.standard_normal((512, 640, 3))), 0, 255).astype(np.uint8) for _ in range(2)]
+    for picture, d in zip(pictures, (0, 12), strict=True):
+        picture[:, 300 - d : 380 - d] = rng.integers(0, 255, (512, 80, 3)) if d == 0 else pictures[0][:, 300:380]
+    known = np.ones((512, 640), np.bool_)
+    proxy = Proxy(
+        left=pictures[0],
+        right=pictures[1],
+        left_grey=pictures[0].mean(axis=2).astype(np.float32),
+        right_grey=pictures[1].mean(axis=2).astype(np.float32),
+        left_known=known,
+        right_known=known,
+    )
+    seen, held = [], matching.supported
+
+    def spied(left, *rest, **more):
+        seen.append(left.shape[0])
+        return held(left, *rest, **more)
+
+    monkeypatch.setattr(matching, "supported", spied)
+    match(proxy, DisparityRange.holding(0, 30))
+    assert seen[: len(sizes)] == sizes

@@ -121,9 +121,8 @@ def _guide(left: Float32, matcher: cv2.StereoSGBM, loose: cv2.StereoSGBM, proxy:
     if clean and np.mean(plain & lost) < PLAIN_LOST:
         return left, False
     halved = half_proxy(proxy)
-    small = match(
-        halved, search.halved(), guided=halved.noise() < CALM
-    )  # clean ones go on to a quarter of the size, as long as much is plain there, too
+    # Clean ones go on to a quarter of the size, as long as much is plain there, too.
+    small = match(halved, search.halved(), guided=halved.noise() < CALM)
     half = 2 * nearest(small.left, (left.shape[0], left.shape[1]))
     sure = nearest(consistent(small.left, small.right).view(np.uint8), (left.shape[0], left.shape[1])) > 0
     if clean:
