@@ -96,7 +96,7 @@ def _refuse_swapped(proxy: Proxy, coarse: Proxy, eyes: tuple[Float32, Float32], 
 def _of_bare_ground(proxy: Proxy, coarse: Proxy, believed: Bool, infinity: float) -> list[tuple[float, float]]:
     """The least and the largest disparity, px of `coarse`, of each wide piece of ground that has no say there.
 
-    A wall behind an actor may show nothing at a tenth of its size and enough at a fifth.  What stands before such ground has outlines, which
+    A wall behind an actor may show nothing at a twelfth of its size and enough at an eighth.  What stands before such ground has outlines, which
     are believed; the ground itself has none, and its edges may be outside the frame.
     believed : what has a say.     infinity : px of `coarse`.
     """
