@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from stereorelight.stereo.confidence import (
+    DRAFT_COEFFICIENTS,
+    DRAFT_FLOORS,
     FEW_LED,
     Evidence,
     confidence_from_evidence,
     evidence,
     floors,
     led_share,
+    of_drafts,
     sigma_from_evidence,
     texture,
     uneven,
@@ -100,6 +103,19 @@ def test_half_the_size_is_judged_in_pixels_of_the_plate() -> None:
     twice = replace(e, sigma=full(0.6), spread=full(2), uneven=full(0.4))
     np.testing.assert_array_equal(confidence_from_evidence(e.in_pixels(2)), confidence_from_evidence(twice))
     assert confidence_from_evidence(twice)[0, 0] < confidence_from_evidence(e)[0, 0]
+
+
+def test_a_draft_that_was_matched_as_other_pictures_are_is_judged_as_they_are() -> None:
+    """Whether SGBM says the same nearby is evidence where it was asked; a quick draft did not ask it."""
+    asked = [replace(usual(), led=full(share)).in_pixels(2) for share in (0.1, 1.0)]
+    told = [confidence_from_evidence(e, *of_drafts(e)) for e in asked]
+    for e, sure in zip(asked, told, strict=True):
+        np.testing.assert_array_equal(sure, confidence_from_evidence(e))
+    assert told[0][0, 0] < told[1][0, 0] - 0.02
+    quick = usual().in_pixels(2)
+    np.testing.assert_array_equal(
+        confidence_from_evidence(quick, *of_drafts(quick)), confidence_from_evidence(quick, DRAFT_COEFFICIENTS, DRAFT_FLOORS)
+    )
 
 
 def test_ground_on_the_plane_of_its_rims_is_surer_than_it_looks() -> None:

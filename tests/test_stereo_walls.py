@@ -142,6 +142,21 @@ def test_chance_gives_way_where_the_plane_would_be_hidden() -> None:
     assert np.mean(found[before] == 26) > 0.6
 
 
+def test_where_grain_is_strong_another_plane_must_fit_that_much_better() -> None:
+    """A patch with three times the grain, a part of which the other eye happens to repeat six pixels nearer: on the wall it stays."""
+    rng = np.random.default_rng(9)
+    had, proxy = WALL.copy(), pair(WALL)
+    had[:26] += 6  # so that a second plane is offered
+    plain = plain_ground(proxy.left, AS_IF_NOISE)
+    left, right = proxy.left_grey.copy(), proxy.right_grey.copy()
+    patch = np.s_[70:140, 110:190]
+    left[patch] = 120 + 1.5 * rng.standard_normal((70, 80))
+    lands = np.rint(X - WALL - 6).astype(int)[patch]
+    right[Y[patch].astype(int), lands] = 120 + 0.25 * (left[patch] - 120) + 0.5 * rng.standard_normal((70, 80))
+    found, _ = on_walls(replace(proxy, left_grey=left, right_grey=right), plain, NOWHERE, had, ALL, grainy=False)
+    assert np.abs(found - WALL)[patch].max() < 0.5
+
+
 def test_a_bare_wall_behind_a_card_is_found(monkeypatch) -> None:
     """Plates of 8 bit with hardly anything on the wall: it is found far better than without its planes."""
     rng = np.random.default_rng(8)

@@ -70,7 +70,8 @@ class RectifiedDepth:
 
 
 def matched(proxy: Proxy, search: DisparityRange, settings: DepthSettings) -> Match:
-    """Both eyes of a rectified pair, by the matcher that is asked for."""
+    """Both eyes of a rectified pair, by the matcher that is asked for.  A draft does without SGBM and smaller copies, unless much of its bare ground
+    is lost so (docs/decisions/0070-drafts-of-bare-rooms.md)."""
     if settings.matcher != OWN:
         return match_by(matcher_named(settings.matcher), settings.matcher.partition(":")[0], proxy, search)
     if settings.quality == "draft":
