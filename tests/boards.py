@@ -122,20 +122,22 @@ def _linear(board: Board, camera: Camera, R: Float64, t: Float64, white: float, 
     assert np.isfinite(rays).all(), "this lens folds just outside the frame; take a milder one"
     ray_x, ray_y = RectBivariateSpline(v, u, rays[..., 0]), RectBivariateSpline(v, u, rays[..., 1])
     n, along = R[:, 2], R[:, 2] @ t  # the board's plane: n . P = along
-    xs = np.unique(board.rectangles_m[:, [0, 2]].round(12))
-    ys = np.unique(board.rectangles_m[:, [1, 3]].round(12))
-    dark = np.zeros((len(ys) + 1, len(xs) + 1), bool)
-    for x0, y0, x1, y1 in board.rectangles_m.round(12):
-        dark[np.searchsorted(ys, y0) + 1 : np.searchsorted(ys, y1) + 1, np.searchsorted(xs, x0) + 1 : np.searchsorted(xs, x1) + 1] = True
     x0, y0, x1, y1 = board.extent_m
     q = 1.5 * board.quiet_m
+    # Reflectance between all lines of the board: beyond its paper, on the paper, in its dark rectangles.
+    xs = np.unique([x0 - q, x1 + q, *board.rectangles_m[:, [0, 2]].round(12).ravel()])
+    ys = np.unique([y0 - q, y1 + q, *board.rectangles_m[:, [1, 3]].round(12).ravel()])
+    tone = np.full((len(ys) + 1, len(xs) + 1), surround)
+    tone[1:-1, 1:-1] = white
+    for left, top, right, bottom in board.rectangles_m.round(12):
+        tone[np.searchsorted(ys, top) + 1 : np.searchsorted(ys, bottom) + 1, np.searchsorted(xs, left) + 1 : np.searchsorted(xs, right) + 1] = black
+    flat = tone.ravel()
 
     def shade(rx: Float64, ry: Float64) -> Float64:
         depth = along / (n[0] * rx + n[1] * ry + n[2])
-        point = np.stack([rx * depth, ry * depth, depth], axis=-1) - t
-        x, y = point @ R[:, 0], point @ R[:, 1]
-        paper = (depth > 0) & (x > x0 - q) & (x < x1 + q) & (y > y0 - q) & (y < y1 + q)
-        return np.where(paper, np.where(dark[np.searchsorted(ys, y), np.searchsorted(xs, x)], black, white), surround)
+        x, y = (depth * (R[0, k] * rx + R[1, k] * ry + R[2, k]) - t @ R[:, k] for k in (0, 1))
+        found: Float64 = flat[np.searchsorted(ys, y) * tone.shape[1] + np.searchsorted(xs, x)]
+        return np.where(depth > 0, found, surround)
 
     corner_u, corner_v = np.arange(w + 1) - 0.5, np.arange(h + 1) - 0.5
     coarse = shade(ray_x(corner_v, corner_u), ray_y(corner_v, corner_u))

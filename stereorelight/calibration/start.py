@@ -7,14 +7,12 @@ whose poses reproject best: it needs no guess from the user, stands strong disto
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from stereorelight.arrays import Bool, Float64
-from stereorelight.calibration.projection import camera_of, checked_lens, project
+from stereorelight.calibration.projection import NEAREST, camera_of, checked_lens, project
 
 FEWEST_CORNERS = 6  # in one view of one eye: fewer say next to nothing beside the six unknowns of the board's pose
 TRIALS = tuple(float(f) for f in np.geomspace(0.25, 12.0, 20))  # focal lengths in units of the frame's width
@@ -38,15 +36,6 @@ def _plain_rays(px: Float64, intrinsics: Float64, wide: bool) -> Float64:
         return np.where(theta < np.radians(80), p * np.tan(theta) / np.maximum(theta, 1e-12), np.nan)
 
 
-Placed = Sequence[tuple[Float64, Float64] | None]
-
-
-def pose_from_rays(points_m: Float64, rays: Float64) -> tuple[Float64, Float64] | None:
-    """R, t (camera from board) from board points (n, 3) and their x/z, y/z (n, 2); None where too few are known."""
-    H = _homography(points_m, rays, GROSS)
-    return None if H is None else _pose(H, points_m)
-
-
 def _homography(points_m: Float64, flat: Float64, gross: float) -> Float64 | None:
     known = np.isfinite(flat).all(axis=-1)
     if known.sum() < FEWEST_CORNERS:
@@ -55,28 +44,27 @@ def _homography(points_m: Float64, flat: Float64, gross: float) -> Float64 | Non
     return H if H is not None and np.isfinite(H).all() else None
 
 
-def _pose(H: Float64, points_m: Float64) -> tuple[Float64, Float64] | None:
-    """The rigid pose nearest to homography H from the board to rays (Zhang 2000)."""
-    H = H * (2 / max(float(np.linalg.norm(H[:, 0]) + np.linalg.norm(H[:, 1])), 1e-300))
-    if H[2] @ np.array([*points_m[:, :2].mean(axis=0), 1]) < 0:
-        H = -H
-    both = np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])])
-    if not np.linalg.norm(both[:, 2]) > 1e-9:
-        return None
+def _rigid(H: Float64, points_m: Float64) -> tuple[Float64, Float64, Bool]:
+    """The rigid poses nearest to homographies H (..., 3, 3) from the board to rays (Zhang 2000): R (..., 3, 3), t (..., 3), and which have one."""
+    a, b = np.linalg.norm(H[..., 0], axis=-1), np.linalg.norm(H[..., 1], axis=-1)
+    H = H * (2 / np.maximum(a + b, 1e-300))[..., None, None]
+    behind = H[..., 2, :] @ np.array([*points_m[:, :2].mean(axis=0), 1]) < 0
+    H = np.where(behind[..., None, None], -H, H)
+    square = np.cross(H[..., 0], H[..., 1])
+    known = np.linalg.norm(square, axis=-1) > 1e-9
+    both = np.where(known[..., None, None], np.stack([H[..., 0], H[..., 1], square], axis=-1), np.eye(3))
     u, _, vt = np.linalg.svd(both)
-    return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt, H[:, 2]
+    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
+    return u @ vt, H[..., 2], known
 
 
 def poses(points_m: Float64, rays: Float64) -> tuple[Float64, Float64, Bool]:
     """R (V, 3, 3), t (V, 3) of the boards from x/z, y/z (V, n, 2) of their corners, and which views (V,) could be placed."""
-    views = len(rays)
-    R, t, known = np.tile(np.eye(3), (views, 1, 1)), np.tile([0.0, 0.0, 1.0], (views, 1)), np.zeros(views, dtype=bool)
-    for v in range(views):
-        pose = pose_from_rays(points_m, rays[v])
-        if pose is not None:
-            R[v], t[v] = pose
-            known[v] = True
-    return R, t, known
+    found = [_homography(points_m, view, GROSS) for view in rays]
+    H = np.stack([np.full((3, 3), np.nan) if h is None else h for h in found]) if found else np.empty((0, 3, 3))
+    R, t, known = _rigid(np.nan_to_num(H), points_m)
+    known &= np.isfinite(H).all(axis=(1, 2))
+    return np.where(known[:, None, None], R, np.eye(3)), np.where(known[:, None], t, (0.0, 0.0, 1.0)), known
 
 
 def first_guess(points_m: Float64, px: Float64, size: tuple[int, int], lens: str) -> tuple[Float64, Float64, Float64, Bool]:
@@ -85,18 +73,10 @@ def first_guess(points_m: Float64, px: Float64, size: tuple[int, int], lens: str
     w, h = size
     some = px[_some_views(px)]
     centre = np.array([(w - 1) / 2, (h - 1) / 2])
-    flat = [H for view in some if (H := _homography(points_m, view - centre, GROSS * w)) is not None]
-    best = np.inf, float(w), False
+    score, focal, is_wide = _best_narrow(points_m, some, centre, w)
     for f in TRIALS:
-        # A perspective lens needs one homography whatever its focal length; an equidistant one a new one each time.
-        narrow = [_pose(np.diag([1 / (f * w), 1 / (f * w), 1]) @ H, points_m) for H in flat]
-        plain = np.array([f * w, f * w, *centre])
-        wide: Placed = [pose_from_rays(points_m, rays) for rays in _plain_rays(some, plain, True)] if f <= WIDEST else [None]
-        for is_wide, found in ((False, narrow), (True, wide)):
-            score = _misfit(points_m, some, plain, is_wide, found)
-            if score < best[0]:
-                best = score, f * w, is_wide
-    _, focal, is_wide = best
+        if f <= WIDEST and (found := _wide_misfit(points_m, some, np.array([f * w, f * w, *centre]), score)) < score:
+            score, focal, is_wide = found, f * w, True
     plain = np.array([focal, focal, *centre])
     R, t, known = poses(points_m, _plain_rays(px, plain, is_wide))
     intrinsics = np.append(plain, np.zeros(count))
@@ -107,17 +87,39 @@ def first_guess(points_m: Float64, px: Float64, size: tuple[int, int], lens: str
     return intrinsics, R, t, known
 
 
-def _misfit(points_m: Float64, px: Float64, plain: Float64, is_wide: bool, found: Placed) -> float:
-    """Median distance between corners seen and reprojected, pixels; inf where fewer than half of the views could be placed."""
-    lens, intrinsics = ("fisheye", np.append(plain, [0.0] * 4)) if is_wide else ("pinhole", plain)
-    off = [np.linalg.norm(project(points_m @ R.T + t, intrinsics, lens)[0] - view, axis=-1) for (R, t), view in _placed(found, px)]
-    if len(off) * 2 < len(px) or not off:
-        return np.inf
-    return float(np.nanmedian(np.concatenate(off)))
+def _best_narrow(points_m: Float64, px: Float64, centre: Float64, width: int) -> tuple[float, float, bool]:
+    """Median misfit in pixels, focal length in pixels, and False for not wide, of the best perspective lens among the trials.
+
+    It needs one homography a view, whatever its focal length."""
+    flat = [_homography(points_m, view - centre, GROSS * width) for view in px]
+    placed = [(H, view) for H, view in zip(flat, px) if H is not None]
+    if len(placed) * 2 < len(px) or not placed:
+        return np.inf, float(width), False
+    focal = np.array(TRIALS) * width
+    H = np.stack([H for H, _ in placed])[None] * np.stack([1 / focal, 1 / focal, np.ones_like(focal)], axis=-1)[:, None, :, None]
+    R, t, known = _rigid(H, points_m)
+    there = points_m @ R.swapaxes(-1, -2) + t[..., None, :]
+    seen = there[..., :2] / np.maximum(there[..., 2:], NEAREST) * focal[:, None, None, None] + centre
+    off = np.where(known[..., None], np.linalg.norm(seen - np.stack([view for _, view in placed]), axis=-1), np.nan)
+    scores = [float(np.nanmedian(o)) if 2 * k.sum() >= len(px) else np.inf for o, k in zip(off, known)]
+    best = int(np.argmin(scores))
+    return scores[best], float(focal[best]), False
 
 
-def _placed(found: Placed, px: Float64) -> list[tuple[tuple[Float64, Float64], Float64]]:
-    return [(pose, view) for pose, view in zip(found, px) if pose is not None]
+def _wide_misfit(points_m: Float64, px: Float64, plain: Float64, most: float) -> float:
+    """Median misfit in pixels of an equidistant lens; inf where fewer than half of the views could be placed, or once it must be above `most`.
+
+    Each focal length asks for a homography a view of its own, which takes nearly all of the time where the lens is not of this kind."""
+    lens = np.append(plain, [0.0] * 4)
+    half = np.isfinite(px[..., 0]).sum() / 2
+    off: list[Float64] = []
+    for view, rays in zip(px, _plain_rays(px, plain, True)):
+        R, t, known = poses(points_m, rays[None])
+        if known[0]:
+            off.append(np.linalg.norm(project(points_m @ R[0].T + t[0], lens, "fisheye")[0] - view, axis=-1))
+        if sum(int((o > most).sum()) for o in off) > half:
+            return np.inf
+    return float(np.nanmedian(np.concatenate(off))) if off and 2 * len(off) >= len(px) else np.inf
 
 
 def _some_views(px: Float64, most: int = 8) -> npt.NDArray[np.intp]:
