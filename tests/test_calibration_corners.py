@@ -4,9 +4,7 @@ The renderer (tests/boards.py) samples areas through the real camera with disc a
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -21,6 +19,7 @@ from stereorelight.calibration.timing import movement_px, time_offset
 from stereorelight.camera import Camera
 from stereorelight.errors import PlateError
 from tests.boards import board_pose, render_board, seen, true_corners
+from tests.test_calibration_real import BOARD, DATA, detected
 
 CAMERA = replace(Camera.from_fov(50, (640, 480)), distortion=(-0.15, 0.03, 0.0008, -0.0006))
 CHESS, CHARUCO, APRIL = (parse_board(s) for s in ("chessboard:9x6:0.025", "charuco:8x6:0.03:0.022:DICT_5X5_100", "aprilgrid:4x3:0.05:0.3"))
@@ -317,15 +316,11 @@ def test_tilt_is_what_was_set(tilt: tuple[float, float]) -> None:
 
 
 @pytest.mark.slow
-def test_the_real_pictures_are_found_in_every_view() -> None:
-    where = os.environ.get("STEREORELIGHT_DATA")
-    folder = Path(where) / "opencv_chessboard" if where else None
-    if folder is None or not folder.is_dir():
-        pytest.skip("STEREORELIGHT_DATA names no folder with opencv_chessboard: the 13 real pairs are not here")
-    board = parse_board("chessboard:9x6:1")
-    found = {eye: {p.stem[-2:]: detect(cv2.imread(str(p), 0), board) for p in sorted(folder.glob(f"{eye}*.jpg"))} for eye in ("left", "right")}
+@pytest.mark.skipif(not DATA.is_dir(), reason="STEREORELIGHT_DATA names no folder with opencv_chessboard: the 13 real pairs are not here")
+def test_the_real_pictures_are_found_in_every_view(tmp_path_factory: pytest.TempPathFactory) -> None:
+    found = detected(tmp_path_factory)
     assert all(len(f) == 13 and None not in f.values() for f in found.values())
     unsettled = sum(int((~d.refined).sum()) for f in found.values() for d in f.values() if d)
     assert unsettled <= 0.005 * 26 * 54
     left, right = ([d for d in found[eye].values() if d] for eye in ("left", "right"))
-    assert not views.mirrored_eye(left, right, board)
+    assert not views.mirrored_eye(left, right, BOARD)

@@ -12,10 +12,11 @@ import pytest
 
 from stereorelight.calibration.answer import Calibration
 from stereorelight.calibration.board import parse_board
-from stereorelight.calibration.corners import detect
+from stereorelight.calibration.corners import Detection, detect
 from stereorelight.calibration.lens_choice import Choice, choose
 from stereorelight.calibration.sightings import StereoViews
 from stereorelight.calibration.validate import Quality, validate
+from tests.made_once import made_once
 
 cv2 = pytest.importorskip("cv2")
 DATA = Path(os.environ.get("STEREORELIGHT_DATA", "nowhere")) / "opencv_chessboard"
@@ -29,17 +30,34 @@ pytestmark = [
 LOO_PX, LOO_95_PX, RMS_PX, SQUARE_SPREAD = 0.077, 0.226, 0.191, 0.0058
 
 
-def real_views() -> StereoViews:
-    """All thirteen pairs, corners found by our own detector.  The squares are about 25 mm; one unit here, as the figures have it."""
-    board = parse_board("chessboard:9x6:1.0")
+BOARD = parse_board("chessboard:9x6:1.0")  # the squares are about 25 mm; one unit here, as the figures have it
+
+
+def real_detections() -> dict[str, dict[str, Detection | None]]:
+    """Of both eyes, what our own detector finds in each of the thirteen pictures."""
     names = sorted(p.stem[4:] for p in DATA.glob("left*.jpg"))
-    eyes = [[detect(cv2.imread(str(DATA / f"{eye}{n}.jpg"), cv2.IMREAD_GRAYSCALE), board) for n in names] for eye in ("left", "right")]
-    return StereoViews(points_m=board.points_m, left=eyes[0], right=eyes[1], names=names)
+    return {eye: {n: detect(cv2.imread(str(DATA / f"{eye}{n}.jpg"), cv2.IMREAD_GRAYSCALE), BOARD) for n in names} for eye in ("left", "right")}
+
+
+def real_views(found: dict[str, dict[str, Detection | None]] | None = None) -> StereoViews:
+    """All thirteen pairs."""
+    eyes = found or real_detections()
+    return StereoViews(points_m=BOARD.points_m, left=list(eyes["left"].values()), right=list(eyes["right"].values()), names=list(eyes["left"]))
+
+
+def detected(factory: pytest.TempPathFactory) -> dict[str, dict[str, Detection | None]]:
+    """`real_detections`, for whoever needs them in this test run."""
+    return made_once(factory, "real-detections", lambda _: real_detections())
+
+
+def calibrated(factory: pytest.TempPathFactory) -> tuple[Choice, Calibration]:
+    """The rig of the real pairs, for whoever needs it in this test run."""
+    return made_once(factory, "real-boards", lambda _: choose(real_views(detected(factory)), ((640, 480), (640, 480))))
 
 
 @pytest.fixture(scope="module")
-def real() -> tuple[Choice, Calibration, Quality]:
-    choice, calibration = choose(real_views(), ((640, 480), (640, 480)))
+def real(tmp_path_factory: pytest.TempPathFactory) -> tuple[Choice, Calibration, Quality]:
+    choice, calibration = calibrated(tmp_path_factory)
     return choice, calibration, validate(calibration)
 
 

@@ -47,7 +47,7 @@ class Filmed:
 @pytest.fixture(scope="module")
 def filmed() -> Filmed:
     rig = rig_named("parallel", SIZE)
-    shots = [render(scene_named("sphere", frame=k, motion=True), rig, samples=2, noise_sigma=NOISE, frame=k) for k in range(COUNT)]
+    shots = [render(scene_named("sphere", frame=k, motion=True), rig, samples=2, noise_sigma=NOISE, frame=k, shadows=False) for k in range(COUNT)]
     return Filmed(rig=rig, left=[s.left["plate"] for s in shots], right=[s.right["plate"] for s in shots])
 
 

@@ -11,7 +11,7 @@ from stereorelight.stereo.proxy import matching_proxy
 from stereorelight.stereo.rectify import rectification
 from stereorelight.stereo.search import search_range
 from stereorelight.synth.rigs import parallel_rig
-from tests.test_calibration_real import DATA, real_views
+from tests.test_calibration_real import DATA, calibrated
 
 cv2 = pytest.importorskip("cv2")
 WIDTH, HEIGHT, SIDE_PX, TURN = 480, 360, 60, 0.1
@@ -59,13 +59,12 @@ def test_half_the_size_leads_where_the_full_size_is_lost(monkeypatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason="STEREORELIGHT_DATA does not name a folder that holds opencv_chessboard: the real pairs are not here")
-def test_real_boards_lie_on_their_planes_and_are_believed() -> None:
+def test_real_boards_lie_on_their_planes_and_are_believed(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Three of the thirteen real pairs: every pixel of the board, against the plane of its corners, beside SGBM filtered by WLS."""
-    from stereorelight.calibration.lens_choice import choose
     from tests.benchmarks.bench_depth import linear
     from tests.benchmarks.bench_real_boards import plane_of, yardstick
 
-    _, calibration = choose(real_views(), ((640, 480), (640, 480)))
+    _, calibration = calibrated(tmp_path_factory)
     rectified = rectification(calibration.rig)
     ours, theirs, told = [], [], []
     for name in ("01", "07", "13"):

@@ -97,7 +97,7 @@ def test_matched_depth_casts_the_traced_shadow() -> None:
     Over all that faces the lamp in truth and the camera can know; a found normal that has turned away is no shadow."""
     size = (960, 540)
     rig = parallel_rig(size)
-    shot = render(scene_named("bust"), rig, samples=2)
+    shot = render(scene_named("bust"), rig, samples=2, shadows=False)  # what is matched has no need of them
     plates = [decode(np.rint(255 * encode(shot.frame(eye)["plate"], "sRGB")) / 255, "sRGB").astype(np.float32) for eye in ("left", "right")]
     depth = recover(*plates, rectification(rig)).frame
     surface = surface_of(depth, noise_per_m=MATCH_NOISE_PX / (rig.left.fx * rig.baseline_m))
