@@ -30,6 +30,7 @@ from stereorelight.shot.pairs import pairs_of
 from stereorelight.synth.render import render
 from stereorelight.synth.rigs import rig_named
 from stereorelight.synth.scenes import scene_named
+from tests.made_once import made_once
 
 SIZE, COUNT, FIRST = (400, 224), 6, 1001
 NOISE = 0.002
@@ -45,7 +46,11 @@ class Filmed:
 
 
 @pytest.fixture(scope="module")
-def filmed() -> Filmed:
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
+    return made_once(tmp_path_factory, "checked", lambda _: _filmed())
+
+
+def _filmed() -> Filmed:
     rig = rig_named("parallel", SIZE)
     shots = [render(scene_named("sphere", frame=k, motion=True), rig, samples=2, noise_sigma=NOISE, frame=k, shadows=False) for k in range(COUNT)]
     return Filmed(rig=rig, left=[s.left["plate"] for s in shots], right=[s.right["plate"] for s in shots])

@@ -21,6 +21,7 @@ from stereorelight.interchange.rigs import read_rig
 from stereorelight.shot import calibrate_look as look
 from tests.boards import board_pose, render_board
 from tests.calibration_views import turned_by_deg
+from tests.made_once import made_once
 
 pytestmark = pytest.mark.slow
 
@@ -124,7 +125,11 @@ class Filmed:
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
     """A session on a ChArUco board, in a folder with a name that a page must escape, and its calibration."""
-    folder = tmp_path_factory.mktemp("board") / "take <b> & 'co'"
+    return made_once(tmp_path_factory, "board", _filmed)
+
+
+def _filmed(shared: Path) -> Filmed:
+    folder = shared / "take <b> & 'co'"
     pairs = pictures(BOARD, TRUTH, noise=1.0)
     write(folder, pairs)
     answer = calibrated(

@@ -26,6 +26,7 @@ from stereorelight.shot.run import RunSummary, run_shot
 from stereorelight.synth.render import render
 from stereorelight.synth.rigs import rig_named
 from stereorelight.synth.scenes import scene_named
+from tests.made_once import made_once
 from tests.stereo_files import rgb_movie
 
 SIZE, COUNT, FIRST = (320, 180), 4, 1001
@@ -49,7 +50,10 @@ class Filmed:
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory: pytest.TempPathFactory) -> Filmed:
-    folder = tmp_path_factory.mktemp("filmed")
+    return made_once(tmp_path_factory, "filmed", _filmed)
+
+
+def _filmed(folder: Path) -> Filmed:
     rig = rig_named("parallel", SIZE)
     shots = [render(scene_named("sphere", frame=k, motion=True), rig, samples=2, frame=k) for k in range(COUNT)]
     plates = {eye: [np.minimum(0.6 * s.frame(eye)["plate"], 0.7) for s in shots] for eye in ("left", "right")}  # type: ignore[arg-type]

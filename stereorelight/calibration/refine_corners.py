@@ -98,7 +98,9 @@ def local_shapes(board: Board, ids: np.ndarray, px: Float64) -> tuple[Float64, F
     """(n, 2, 2) squares per pixel and (n, 2) curvature of the two edges (1/px) at each corner."""
     xy, s = board.points_m[ids, :2], board.square_m
     h = 0.35 * s
-    at = {(i, j): grid_map(xy, px, xy + h * np.array([i, j])) for i in (-1, 0, 1) for j in (-1, 0, 1) if 0 in (i, j)}
+    steps = [(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)]
+    there = grid_map(xy, px, np.concatenate([xy + h * np.array(step) for step in steps]))
+    at = dict(zip(steps, there.reshape(len(steps), len(xy), 2)))
     across: Float64 = (at[1, 0] - at[-1, 0]) * (s / h / 2)  # pixels per square along the board's x
     down: Float64 = (at[0, 1] - at[0, -1]) * (s / h / 2)
     J = np.stack([across, down], axis=-1)
