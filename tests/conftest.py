@@ -1,6 +1,7 @@
 """What holds for every test: how hypothesis looks for examples, one BLAS thread, as calibration has it, and no more threads than cores.
 
-A change must land or fail by itself, so the examples are the same on every run.  `pytest -m hypothesis --hypothesis-profile=search` draws new ones."""
+A change must land or fail by itself, so the examples are the same on every run; `pytest -m hypothesis --hypothesis-profile=search` draws
+new ones."""
 
 from __future__ import annotations
 

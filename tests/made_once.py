@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
@@ -27,8 +28,8 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
         if fcntl is not None:
             fcntl.flock(lock, fcntl.LOCK_EX)
         if not value.exists():
+            shutil.rmtree(folder, ignore_errors=True)  # of one that failed half-way
             folder.mkdir()
-            made = make(folder)
-            value.write_bytes(pickle.dumps(made))
+            value.write_bytes(pickle.dumps(make(folder)))
         found: T = pickle.loads(value.read_bytes())
         return found
