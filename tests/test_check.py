@@ -226,6 +226,17 @@ def test_a_repeated_frame(tmp_path: Path, filmed: Filmed) -> None:
     assert "original" in found.remedy
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_one_eye_given_twice(tmp_path: Path, filmed: Filmed, mirrored: bool) -> None:
+    twice = [plate[:, ::-1] if mirrored else plate for plate in filmed.left]
+    health = check_plates(*write(tmp_path, filmed.left, [*filmed.right[:1], *twice[1:]]))
+    found = finding(health, "one_picture")
+    assert (found.level, found.value) == ("bad", 4.0)
+    assert "on 4 of 5 frames looked at" in found.words
+    assert [value for _, value in found.frames] == [0, 1, 1, 1, 1]  # the last frame is only what comes after the one before
+    assert "own file" in found.remedy
+
+
 def test_a_truncated_file_among_the_frames(tmp_path: Path, filmed: Filmed) -> None:
     names = write(tmp_path, filmed.left, filmed.right, rig=filmed.rig)
     bad = tmp_path / "right.1003.exr"

@@ -12,6 +12,7 @@ from stereorelight.light.shade import light_layers
 Array = np.ndarray
 EXACT = 1e-3
 FLOOR = 1e-2  # of the most that a lobe can hold: below it the error is held against this
+NOTHING = 1e-14  # of a lobe's middle: what is less adds nothing to a sum
 COUNT, FINE = 600, 1300  # places along each side of what is summed, where the lobe is broad and where it is narrow
 
 
@@ -20,19 +21,24 @@ def shone(P: Array, N: Array, light: Light) -> Array:
     return light_layers(p, n, np.ones_like(p), [light])["light_a_specular"][0, :, 0].astype(np.float64)
 
 
-def places(light: Light, p: Array, normal: Array) -> tuple[Array, Array]:
-    """Unit ways (n, m, 3) from p to the light, and what each counts for: its solid angle over the light's area as seen head on, as far
-    as it stands above the horizon."""
+def places(light: Light, p: Array, normal: Array, mirrored: Array) -> tuple[Array, Array]:
+    """Cosines (n, m) between `mirrored` and the ways from p to places of the light, and what each counts for: its solid angle over the light's
+    area as seen head on, as far as it stands above the horizon."""
     count = COUNT if light.exponent < 100 else FINE
     if isinstance(light, RectLight):
         (w, h), (u, v) = light.size_m, light.sides
         across = round(count * np.sqrt(w / h))
         x, y = ((np.arange(n) + 0.5) / n - 0.5 for n in (across, count**2 // across))
-        to = np.array(light.position_m) + x[:, None, None] * w * u + y[None, :, None] * h * v - p
-        d = np.linalg.norm(to, axis=-1)
+        to = np.array(light.position_m) - p
+        d2 = np.add.outer((x * w + to @ u) ** 2, (y * h + to @ v) ** 2) + (to @ light.shines_to) ** 2
+
+        def along(a: Array) -> Array:
+            return np.add.outer(to @ a + x * w * (u @ a), y * h * (v @ a))
+
         cell = (abs(w * u @ normal) / len(x) + abs(h * v @ normal) / len(y)) / 2
-        above = np.clip(0.5 + to @ normal / (2 * cell), 0, 1)
-        return to / d[..., None], above * np.maximum(-(to @ light.shines_to), 0) / d**3 / d.size
+        above = np.clip(0.5 + along(normal) / (2 * cell), 0, 1)
+        far = np.sqrt(d2)
+        return along(mirrored) / far, above * max(float(-(to @ light.shines_to)), 0.0) / (d2 * far) / d2.size
     assert isinstance(light, SphereLight)
     t = (np.arange(count) + 0.5) / count
     to = np.array(light.position_m) - p
@@ -43,18 +49,21 @@ def places(light: Light, p: Array, normal: Array) -> tuple[Array, Array]:
     e = np.cross(a, [1, 0, 0] if abs(a[0]) < 0.8 else [0, 1, 0])
     e /= np.linalg.norm(e)
     phi = 2 * np.pi * t
-    ring = np.sqrt(low * (2 - low))[:, None, None] * (np.cos(phi)[:, None] * e + np.sin(phi)[:, None] * np.cross(a, e))
-    ways = (1 - low)[:, None, None] * a + ring
-    return ways, (ways @ normal > 0) * (2 * low[-1] * count / (count - 0.5) / light.radius_m**2 / count**2)
+    f = np.cross(a, e)
+
+    def cosines(b: Array) -> Array:
+        return ((1 - low) * (a @ b))[:, None] + np.outer(np.sqrt(low * (2 - low)), np.cos(phi) * (e @ b) + np.sin(phi) * (f @ b))
+
+    return cosines(mirrored), (cosines(normal) > 0) * (2 * low[-1] * count / (count - 0.5) / light.radius_m**2 / count**2)
 
 
 def summed(P: Array, N: Array, light: Light) -> Array:
     wanted = []
     for p, n in zip(P.astype(np.float32).astype(float), N.astype(np.float32).astype(float)):
-        ways, share = places(light, p, n)
         view = -p / np.linalg.norm(p)
-        mirrored = 2 * (n @ view) * n - view
-        wanted.append((np.maximum(ways @ mirrored, 0) ** light.exponent * share).sum())
+        cosine, share = places(light, p, n, 2 * (n @ view) * n - view)
+        seen = cosine > NOTHING ** (1 / light.exponent)
+        wanted.append((cosine[seen] ** light.exponent * share[seen]).sum())
     return np.array(wanted)
 
 

@@ -15,6 +15,7 @@ from stereorelight.compare.tally import RegionFigures
 from stereorelight.errors import PlateError, ShotError
 from stereorelight.passes import Flag
 from stereorelight.stereo.depth import recover
+from stereorelight.stereo.order import refuse_one_picture
 from stereorelight.stereo.proxy import Proxy, matching_proxy
 from stereorelight.stereo.rectify import Rectification, rectification
 from stereorelight.stereo.refine import EFFORTS, refine
@@ -154,6 +155,19 @@ def test_swapped_plates_are_named(rig) -> None:
     left, right = plates(made, rectified)
     with pytest.raises(PlateError, match=r"swapped|hardly match"):
         recover(right, left, rectified)
+
+
+def test_one_picture_for_both_eyes_is_named(card) -> None:
+    """A mirrored rig's other eye comes the other way round; and two that differ in one pixel's last bit are two, however alike."""
+    made, rectified = card
+    left, _ = plates(made, rectified)
+    for twice in (left.copy(), np.ascontiguousarray(left[:, ::-1])):
+        with pytest.raises(PlateError, match="are one picture, bit for bit; give each eye its own"):
+            recover(left, twice, rectified)
+    nearly = left.copy()
+    nearly[3, 5, 1] = np.nextafter(nearly[3, 5, 1], np.float32(1))
+    refuse_one_picture(left, nearly)
+    refuse_one_picture(np.full_like(left, 0.2), np.full_like(left, 0.2))  # says nothing of either eye
 
 
 def test_plates_without_picture_are_named(card) -> None:

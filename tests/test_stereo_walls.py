@@ -142,6 +142,22 @@ def test_chance_gives_way_where_the_plane_would_be_hidden() -> None:
     assert np.mean(found[before] == 26) > 0.6
 
 
+def test_what_the_other_eye_does_not_confirm_is_not_held_to_how_well_it_fits() -> None:
+    """A patch that fits to the last bit 18 px nearer: as a match it stays, and where the other eye says otherwise it goes to the wall."""
+    had, proxy = patchy(WALL), pair(WALL)
+    patch = np.s_[30:120, 90:150]
+    had[patch] = 26
+    left = proxy.left_grey.copy()
+    left[patch] = proxy.right_grey[30:120, 90 - 26 : 150 - 26]
+    proxy, plain = replace(proxy, left_grey=left), plain_ground(proxy.left, AS_IF_NOISE)
+    kept, _ = on_walls(proxy, plain, NOWHERE, had, ALL, grainy=False)
+    confirmed = ALL.copy()
+    confirmed[patch] = False
+    found, _ = on_walls(proxy, plain, NOWHERE, had, confirmed, grainy=False)
+    assert np.mean(kept[patch] == 26) > 0.6
+    assert np.abs(found - WALL)[patch].max() < 0.5
+
+
 def test_where_grain_is_strong_another_plane_must_fit_that_much_better() -> None:
     """A patch with three times the grain, a part of which the other eye happens to repeat six pixels nearer: on the wall it stays."""
     rng = np.random.default_rng(9)

@@ -48,6 +48,17 @@ def judge_matches(counts: Frames) -> Finding:
     )
 
 
+def judge_one_picture(same: Frames) -> Finding:
+    """Whether one eye was given twice.  same : (frame, 1 where both plates are one picture, bit for bit, else 0)."""
+    frames = tuple((number, float(value)) for number, value in same)
+    count = sum(value > 0 for _, value in frames)
+    words = "the plates are two pictures"
+    if count:
+        words = "both plates are one picture, bit for bit" + (f", on {count} of {len(frames)} frames looked at" if len(frames) > 1 else "")
+    remedy = "give each eye its own file; was one of them copied or exported under the other's name?" if count else ""
+    return Finding(name="one_picture", level="bad" if count else "good", value=float(count), unit="frames", words=words, remedy=remedy, frames=frames)
+
+
 def judge_mirrored(as_is: int, mirrored: int, *, in_front: float = math.nan, declared: str | None = None) -> Finding:
     """Whether one eye is flipped left-right against the other.
 

@@ -27,6 +27,7 @@ from stereorelight.health.exposure_verdict import judge_colour, judge_exposure, 
 from stereorelight.health.eyes import (
     judge_matches,
     judge_mirrored,
+    judge_one_picture,
     judge_rig_stale,
     judge_roll,
     judge_swapped,
@@ -261,7 +262,10 @@ def _files(seen: _Seen, pairs: Sequence[Pair]) -> list[Finding]:
 def _eyes(seen: _Seen, rectified: Rectification | None) -> list[Finding]:
     """How the two eyes lie against each other."""
     looks = seen.looks
-    found = [judge_matches([(one.number, len(one.matches)) for one in looks])]
+    found = [
+        judge_matches([(one.number, len(one.matches)) for one in looks]),
+        judge_one_picture([(one.number, float(one.one_picture)) for one in looks]),
+    ]
     first, sample = looks[0], seen.sample
     assert sample is not None
     rig = None if rectified is None else rectified.original

@@ -23,6 +23,7 @@ from stereorelight.health.exposure import ExposureDifference, exposure_differenc
 from stereorelight.health.focus import FocusDifference, focus_difference
 from stereorelight.health.grain import Grain, grain
 from stereorelight.health.range import RangeMeasure, measure_range
+from stereorelight.stereo.order import one_picture
 from stereorelight.stereo.rectify import Rectification
 
 LEAST_MATCHES = 60
@@ -36,6 +37,7 @@ class Look:
 
     number: int | None
     matches: Matches
+    one_picture: bool = False
     vertical: VerticalError | None = None
     behind: float = float("nan")
     behind_exchanged: float = float("nan")
@@ -121,6 +123,7 @@ def look(
     return Look(
         number=number,
         matches=matches,
+        one_picture=one_picture(left, right),
         vertical=vertical,
         strips=occlusion_votes(left, right, matches.left, matches.right),
         behind=behind,

@@ -27,6 +27,7 @@ from stereorelight.stereo.halves import half_rig, half_view, nearest
 from stereorelight.stereo.hints import Hinted, Hints, hinted
 from stereorelight.stereo.match import Match, lost_on_bare_ground, match
 from stereorelight.stereo.matchers import OWN, match_by, matcher_named
+from stereorelight.stereo.order import refuse_one_picture
 from stereorelight.stereo.proxy import Proxy, matching_proxy, picture_of
 from stereorelight.stereo.rectify import Rectification
 from stereorelight.stereo.refine import EFFORTS, Refined, refine
@@ -202,9 +203,10 @@ def recover(
     left, right  : (H, W, 3) float32, NaN where a plate is broken.
     match_colour : give the right eye the left one's colours first, by what both see: "global", or "local" with a smooth field.
     hints        : mattes on the plate of `eye`: what to ignore, and where the subject ends.
-    Raises       : PlateError when sizes do not fit the rig, nothing matches, or the eyes look swapped.
+    Raises       : PlateError when sizes do not fit the rig, nothing matches, the eyes look swapped, or both plates are one picture.
     """
     settings = settings or DepthSettings()
+    refuse_one_picture(left, right)
     views = rectification.rectify(left, "left", to_match=True), rectification.rectify(right, "right", to_match=True)
     rig = rectification.rig
     draft = settings.quality == "draft" and min(views[0].shape[:2]) >= 2 * DRAFT_SMALLEST_PX

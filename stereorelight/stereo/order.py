@@ -20,6 +20,7 @@ from stereorelight.arrays import Bool, Float32, UInt8
 from stereorelight.engine.occlusion import consistent
 from stereorelight.engine.rows import at_once
 from stereorelight.engine.strips import strip_votes
+from stereorelight.errors import PlateError
 from stereorelight.stereo.proxy import Proxy
 
 BEHIND_LIMIT = 0.6  # share of believed matches behind the rig at which the eyes must be swapped, whatever else is seen
@@ -51,6 +52,27 @@ class Votes:
     def right(self) -> bool:
         """Whether most speak for left being left.  A few are enough: nothing is refused by it."""
         return sum(self.behind) > sum(self.before) and sum(self.behind) + sum(self.before) >= STRIPS_FEW
+
+
+def one_picture(left: Float32, right: Float32) -> bool:
+    """Whether both plates (H, W, 3) are one picture, as it is or as a mirror's: one eye's file given twice.
+
+    Two eyes never see the same to the last bit.  Plates without any picture are no answer: False.
+    """
+    if left.shape != right.shape:
+        return False
+    some = np.s_[::16, ::16]
+    for other in (right, right[:, ::-1]):
+        if np.array_equal(left[some], other[some], equal_nan=True) and np.array_equal(left, other, equal_nan=True):
+            seen = left[np.isfinite(left)]
+            return bool(seen.size and np.ptp(seen) > 0)
+    return False
+
+
+def refuse_one_picture(left: Float32, right: Float32) -> None:
+    """Raise PlateError for `one_picture`: its depth would be a plane."""
+    if one_picture(left, right):
+        raise PlateError("left and right plates are one picture, bit for bit; give each eye its own")
 
 
 def behind_rig(disparity: npt.NDArray[np.floating], infinity_px: float) -> tuple[float, float]:
