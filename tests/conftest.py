@@ -12,7 +12,7 @@ import sys
 from importlib.machinery import PathFinder
 from pathlib import Path
 
-import cv2
+import pytest
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
@@ -34,11 +34,16 @@ def _import_installed() -> None:
 
 
 _import_installed()
-from stereorelight.threads import usable_cores  # noqa: E402
+from stereorelight.threads import set_threads, usable_cores  # noqa: E402
 
 settings.register_profile("search", deadline=None, max_examples=500)
 settings.register_profile("stereorelight", deadline=None, max_examples=50, derandomize=True)
 settings.load_profile("stereorelight")
 threadpool_limits(1, user_api="blas")
-# Test processes share the cores: twice as many threads of OpenCV's as cores cost half as much again.
-cv2.setNumThreads(max(1, usable_cores() // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))))
+SHARE = max(1, usable_cores() // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Test processes share the cores: with as many threads each as there are cores they wait for one another."""
+    set_threads(SHARE)

@@ -266,7 +266,7 @@ def test_threads_do_not_change_the_answer() -> None:
     try:
         numba.set_num_threads(1)
         alone = normals_from_depth(Z, camera)
-        numba.set_num_threads(before)
+        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
         together = normals_from_depth(Z, camera)
     finally:
         numba.set_num_threads(before)
