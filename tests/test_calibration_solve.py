@@ -14,6 +14,7 @@ from stereorelight.calibration.lens_choice import choose, eye_candidates, simple
 from stereorelight.calibration.projection import LENSES, camera_of, intrinsics_of, lens_of, project
 from stereorelight.calibration.sightings import Corners, StereoViews, flipped_back
 from stereorelight.calibration.solve import solve_rig
+from stereorelight.calibration.start import first_guess
 from stereorelight.calibration.uncertainty import answer_at, coverage, depth_rows, depth_sigma_mm, frame_grid, projection_sigma, standard_errors
 from stereorelight.calibration.validate import corners_in_space, rectifying, validate, with_quality
 from stereorelight.camera import Camera, Rig
@@ -71,6 +72,18 @@ def test_twenty_tilted_views_give_the_rig_back(name: str) -> None:
     assert not result.outliers
     assert result.sigma_px == pytest.approx(0.02, rel=0.1)
     assert result.rms_px == pytest.approx(0.02 * np.sqrt(2), rel=0.1)
+
+
+@pytest.mark.parametrize(("name", "wide"), [("fisheye", True), ("toed-in", False)])
+def test_a_solve_starts_from_the_kind_of_lens_that_it_is(name: str, wide: bool) -> None:
+    """Bent as no lens of its own family would be at the start, it begins as the other one; and one view in eight may be nonsense."""
+    seen = views_of(RIGS[name]).px[0].copy()
+    seen[3] = seen[3][::-1] * (0.3, 1.4)
+    for lens, bend in (("fisheye", 0.0 if wide else 1 / 3), ("brown5", -0.2 if wide else 0.0)):
+        guess, _, _, placed = first_guess(board(), seen, SIZE, lens)
+        assert guess[0] == pytest.approx(RIGS[name].left.fx, rel=0.15)
+        assert guess[4] == pytest.approx(bend)
+        assert placed.sum() >= 19
 
 
 def test_without_noise_the_rig_comes_back_exactly() -> None:
