@@ -138,12 +138,11 @@ def _recognised(a: Float32, b: Float32) -> npt.NDArray[np.intp]:
     best = alike.argmax(axis=1)
     rows = np.arange(len(a))
     first = alike[rows, best]
-    nearest = (
-        alike.max(axis=0)[best] == first
-    )  # where two rows of a are as near, the first of them has it; argmax down columns takes ten times as long
+    nearest = alike.max(axis=0)[best] == first  # argmax down columns would take five times as long as all of this
     alike[rows, best] = -1
     second = alike.max(axis=1)
     clear = (1 - first) < RATIO**2 * (1 - second)
+    # Where two rows of a are as near to one of b, the first of them has it.
     order = np.flatnonzero(nearest)
     once = np.zeros(len(a), bool)
     once[order[np.unique(best[order], return_index=True)[1]]] = True

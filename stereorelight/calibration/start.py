@@ -74,7 +74,7 @@ def first_guess(points_m: Float64, px: Float64, size: tuple[int, int], lens: str
     w, h = size
     some = px[_some_views(px)]
     centre = np.array([(w - 1) / 2, (h - 1) / 2])
-    score, focal, is_wide = _best_narrow(points_m, some, centre, w)
+    (score, focal), is_wide = _best_narrow(points_m, some, centre, w), False
     for f in TRIALS:
         if f <= WIDEST and (found := _wide_misfit(points_m, some, np.array([f * w, f * w, *centre]), score)) < score:
             score, focal, is_wide = found, f * w, True
@@ -88,14 +88,14 @@ def first_guess(points_m: Float64, px: Float64, size: tuple[int, int], lens: str
     return intrinsics, R, t, known
 
 
-def _best_narrow(points_m: Float64, px: Float64, centre: Float64, width: int) -> tuple[float, float, bool]:
-    """Median misfit in pixels, focal length in pixels, and False for not wide, of the best perspective lens among the trials.
+def _best_narrow(points_m: Float64, px: Float64, centre: Float64, width: int) -> tuple[float, float]:
+    """Median misfit and focal length, in pixels, of the best perspective lens among the trials; inf and `width` where none places half of the views.
 
     It needs one homography a view, whatever its focal length."""
     flat = [_homography(points_m, view - centre, GROSS * width) for view in px]
     placed = [(H, view) for H, view in zip(flat, px) if H is not None]
     if len(placed) * 2 < len(px) or not placed:
-        return np.inf, float(width), False
+        return np.inf, float(width)
     focal = np.array(TRIALS) * width
     H = np.stack([H for H, _ in placed])[None] * np.stack([1 / focal, 1 / focal, np.ones_like(focal)], axis=-1)[:, None, :, None]
     R, t, known = _rigid(H, points_m)
@@ -103,8 +103,7 @@ def _best_narrow(points_m: Float64, px: Float64, centre: Float64, width: int) ->
     seen = there[..., :2] / np.maximum(there[..., 2:], NEAREST) * focal[:, None, None, None] + centre
     off = np.where(known[..., None], np.linalg.norm(seen - np.stack([view for _, view in placed]), axis=-1), np.nan)
     scores = [float(np.nanmedian(o)) if 2 * k.sum() >= len(px) else np.inf for o, k in zip(off, known)]
-    best = int(np.argmin(scores))
-    return scores[best], float(focal[best]), False
+    return min(*zip(scores, focal.tolist()), (np.inf, float(width)))
 
 
 def _wide_misfit(points_m: Float64, px: Float64, plain: Float64, most: float) -> float:
