@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stereorelight.calibration.drift import Drift, apply, keyed, rows_apart, smoothed, solve_drift, vertical_error
-from stereorelight.calibration.features import Matches, match_points, pooled
+from stereorelight.calibration.features import RATIO, Matches, _recognised, match_points, pooled
 from stereorelight.camera import Camera, Rig
 from stereorelight.compare.motorcycle import TruePair, motorcycle
 from stereorelight.engine.points import search_points
@@ -291,3 +291,21 @@ def test_a_frame_of_a_shot_keeps_the_shot_s_yaw() -> None:
     frame = solve_drift(rig, matches_of(apply(rig, moved(0.35, 0.6, 0.1)), 200, noise=0.3, seed=50), around=shot)
     assert frame.pitch_deg == pytest.approx(0.35, abs=0.02)
     assert frame.yaw_deg == pytest.approx(shot.yaw_deg, abs=0.05)
+
+
+def test_points_that_know_each_other_do_so_one_to_one() -> None:
+    """By the definition, one pair at a time; of two points of one eye that look the same, the first has its partner."""
+    rng = np.random.default_rng(4)
+    a, b = rng.random((40, 128), np.float32), rng.random((30, 128), np.float32)
+    b[:20] = a[10:30] + 0.1 * rng.random((20, 128), np.float32)
+    a[35] = a[12]
+    a, b = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (a, b))
+    wanted = []
+    for i, row in enumerate(a @ b.T):
+        best, second = np.sort(row)[::-1][:2]
+        j = int(row.argmax())
+        if 1 - best < RATIO**2 * (1 - second) and int((a @ b[j]).argmax()) == i:
+            wanted.append((i, j))
+    assert len(wanted) > 15
+    assert any(i == 12 for i, _ in wanted)
+    np.testing.assert_array_equal(_recognised(a, b), wanted)
